@@ -1,0 +1,5 @@
+//! The workstation side of OSAP.
+#![forbid(unsafe_code)]
+
+pub mod explain;
+pub mod link;

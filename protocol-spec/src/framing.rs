@@ -1,0 +1,394 @@
+//! Packets on byte streams: check, byte stuffing, delimiter; whole frames and byte by byte.
+//!
+//! - **Walk:** interrupt's ring → [`Deframer`] → the node's ingress; the node's egress → [`encode`] → the transmitter.
+//! - **Invariant:** what a [`Deframer`] hands out passed its check, and its stamp is that of its first byte.
+//! - **Context:** routing task; O(1) a byte. No input panics.
+//! - **Clauses:** `[FRM-01]` to `[FRM-08]`.
+//!
+//! ```
+//! use fixed_math::time::LocalTicks;
+//! use osap_protocol::framing::{encode, Check, Deframer};
+//!
+//! let mut wire = [0; 16];
+//! let len = encode(&[5, 0, 7], Check::Crc16, &mut wire)?;
+//! let mut deframer = Deframer::<64>::new(Check::Crc16);
+//! let mut got = None;
+//! for (n, byte) in wire[..len].iter().enumerate() {
+//!     if let Some(frame) = deframer.push(*byte, LocalTicks::from_us(n as u64)) {
+//!         let frame = frame?;
+//!         got = Some((frame.packet.to_vec(), frame.started));
+//!     }
+//! }
+//! assert_eq!(got, Some((vec![5, 0, 7], LocalTicks::from_us(0))));
+//! # Ok::<(), osap_protocol::framing::FrameError>(())
+//! ```
+
+use crate::drops::DropCause;
+use cobs::{DecodeResult, DecoderState};
+use crc::{CRC_16_IBM_3740, CRC_32_ISO_HDLC, Crc, Table};
+use fixed_math::time::LocalTicks;
+use serde::{Deserialize, Serialize};
+
+/// 256 entries, 512 bytes of flash, `[FRM-02]`.
+static CRC16: Crc<u16, Table<1>> = Crc::<u16, Table<1>>::new(&CRC_16_IBM_3740);
+/// 256 entries, 1 KiB of flash, `[FRM-03]`.
+static CRC32: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC);
+
+/// The delimiter between frames.
+pub const DELIMITER: u8 = 0;
+
+/// What guards a frame's bytes. Both ends of a link are set to the same.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum Check {
+    /// None, where the stream carries its own, `[FRM-04]`.
+    None,
+    /// CRC-16/IBM-3740, `[FRM-02]`.
+    Crc16,
+    /// CRC-32/ISO-HDLC, `[FRM-03]`.
+    Crc32,
+}
+
+impl Check {
+    /// Bytes the check adds.
+    #[must_use]
+    pub const fn len(self) -> usize {
+        match self {
+            Self::None => 0,
+            Self::Crc16 => 2,
+            Self::Crc32 => 4,
+        }
+    }
+
+    /// Whether there is no check.
+    #[must_use]
+    pub const fn is_empty(self) -> bool {
+        matches!(self, Self::None)
+    }
+
+    /// The check of `bytes`, in the low bits.
+    #[must_use]
+    pub fn of(self, bytes: &[u8]) -> u32 {
+        match self {
+            Self::None => 0,
+            Self::Crc16 => u32::from(CRC16.checksum(bytes)),
+            Self::Crc32 => CRC32.checksum(bytes),
+        }
+    }
+}
+
+/// Why a frame gives no packet. Each but `BufferTooSmall`, which is the sender's, is also a [`DropCause`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FrameError {
+    /// The byte stuffing is wrong: a delimiter stands inside a run.
+    Malformed,
+    /// Fewer bytes than the check has, or none beside it.
+    TooShort {
+        /// Bytes after unstuffing.
+        len: usize,
+    },
+    /// The check is not that of the bytes.
+    Check {
+        /// Computed from the bytes.
+        computed: u32,
+        /// Found at their end.
+        found: u32,
+    },
+    /// More bytes than the receiver has room for.
+    TooLong {
+        /// The receiver's room, check included.
+        limit: usize,
+    },
+    /// The sender's buffer cannot hold the frame.
+    BufferTooSmall {
+        /// Bytes that always suffice.
+        need: usize,
+        /// Bytes there are.
+        have: usize,
+    },
+}
+
+impl From<FrameError> for DropCause {
+    fn from(error: FrameError) -> Self {
+        match error {
+            FrameError::Malformed => Self::FrameMalformed,
+            FrameError::TooShort { .. } => Self::FrameTooShort,
+            FrameError::Check { .. } => Self::FrameCheck,
+            FrameError::TooLong { .. } => Self::FrameTooLong,
+            FrameError::BufferTooSmall { .. } => Self::SendRefused,
+        }
+    }
+}
+
+impl core::fmt::Display for FrameError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Malformed => f.write_str("the byte stuffing is wrong: a delimiter stands inside a run"),
+            Self::TooShort { len } => write!(f, "{len} bytes after unstuffing: no room for a packet and its check"),
+            Self::Check { computed, found } => write!(f, "the check is {found:#06x}, the bytes give {computed:#06x}"),
+            Self::TooLong { limit } => write!(f, "longer than the {limit} bytes that the receiver holds"),
+            Self::BufferTooSmall { need, have } => write!(f, "a frame may need {need} bytes, the buffer has {have}"),
+        }
+    }
+}
+
+impl core::error::Error for FrameError {}
+
+/// Most bytes a frame of a packet of `packet_len` bytes takes on the wire, delimiter included.
+#[must_use]
+pub const fn encoded_len_max(packet_len: usize, check: Check) -> usize {
+    cobs::max_encoding_length(packet_len + check.len()) + 1
+}
+
+/// Writes `packet` as a frame with its delimiter into `out` and returns its length, `[FRM-01]`.
+///
+/// # Errors
+/// [`FrameError::BufferTooSmall`].
+pub fn encode(packet: &[u8], check: Check, out: &mut [u8]) -> Result<usize, FrameError> {
+    encode_parts(&[packet], check, out)
+}
+
+/// As [`encode`] for a packet in pieces: a bus puts its addresses before it, `[FRM-10]`.
+///
+/// # Errors
+/// [`FrameError::BufferTooSmall`].
+pub fn encode_parts(parts: &[&[u8]], check: Check, out: &mut [u8]) -> Result<usize, FrameError> {
+    let need = encoded_len_max(parts.iter().map(|part| part.len()).sum(), check);
+    let too_small = FrameError::BufferTooSmall { need, have: out.len() };
+    if out.len() < need {
+        return Err(too_small);
+    }
+    let mut encoder = cobs::CobsEncoder::new(out);
+    let mut digest16 = CRC16.digest();
+    let mut digest32 = CRC32.digest();
+    for part in parts {
+        match check {
+            Check::None => {}
+            Check::Crc16 => digest16.update(part),
+            Check::Crc32 => digest32.update(part),
+        }
+        encoder.push(part).map_err(|_| too_small)?;
+    }
+    match check {
+        Check::None => Ok(()),
+        Check::Crc16 => encoder.push(&digest16.finalize().to_le_bytes()),
+        Check::Crc32 => encoder.push(&digest32.finalize().to_le_bytes()),
+    }
+    .map_err(|_| too_small)?;
+    let len = encoder.finalize();
+    out[len] = DELIMITER;
+    Ok(len + 1)
+}
+
+/// Unstuffs one whole frame (with or without its delimiter) into `out`, checks it, and returns the packet's length.
+///
+/// # Errors
+/// Any [`FrameError`] but `BufferTooSmall`.
+pub fn decode(frame: &[u8], check: Check, out: &mut [u8]) -> Result<usize, FrameError> {
+    let limit = out.len();
+    let body = frame.strip_suffix(&[DELIMITER]).unwrap_or(frame);
+    if body.is_empty() {
+        return Err(FrameError::TooShort { len: 0 });
+    }
+    let len = match cobs::decode(body, out) {
+        Ok(report) if report.parsed_size() == body.len() => report.frame_size(),
+        Err(cobs::DecodeError::TargetBufTooSmall) => return Err(FrameError::TooLong { limit }),
+        Ok(_) | Err(_) => return Err(FrameError::Malformed),
+    };
+    verify(&out[..len], check)
+}
+
+/// The packet's length within unstuffed `bytes`, once its check was found right.
+fn verify(bytes: &[u8], check: Check) -> Result<usize, FrameError> {
+    let len = bytes.len();
+    let packet_len = len.checked_sub(check.len()).filter(|n| *n > 0).ok_or(FrameError::TooShort { len })?;
+    let (packet, trailer) = bytes.split_at(packet_len);
+    let found = trailer.iter().rev().fold(0u32, |value, byte| value << 8 | u32::from(*byte));
+    let computed = check.of(packet);
+    if found == computed { Ok(packet_len) } else { Err(FrameError::Check { computed, found }) }
+}
+
+/// A packet that came whole, with its stamp.
+#[derive(Debug, PartialEq, Eq)]
+pub struct Frame<'a> {
+    /// The packet, without check.
+    pub packet: &'a mut [u8],
+    /// When its first byte came, `[FRM-08]`.
+    pub started: LocalTicks,
+}
+
+/// Finds frames in a stream of bytes. `N` is the longest packet plus its check.
+#[derive(Debug)]
+pub struct Deframer<const N: usize> {
+    buffer: [u8; N],
+    len: usize,
+    state: DecoderState,
+    started: LocalTicks,
+    idle: bool,
+    overflown: bool,
+    check: Check,
+}
+
+impl<const N: usize> Deframer<N> {
+    /// A deframer that waits for a first byte.
+    #[must_use]
+    pub const fn new(check: Check) -> Self {
+        Self {
+            buffer: [0; N],
+            len: 0,
+            state: DecoderState::Idle,
+            started: LocalTicks::ZERO,
+            idle: true,
+            overflown: false,
+            check,
+        }
+    }
+
+    /// Forgets a frame begun, as after a link was closed.
+    pub fn reset(&mut self) {
+        self.state = DecoderState::Idle;
+        self.idle = true;
+    }
+
+    /// Takes one byte, stamped; at a delimiter, gives the frame it ended or what was wrong with it. Delimiters between frames give
+    /// nothing, `[FRM-05]`.
+    pub fn push(&mut self, byte: u8, at: LocalTicks) -> Option<Result<Frame<'_>, FrameError>> {
+        if self.idle {
+            if byte == DELIMITER {
+                return None;
+            }
+            self.idle = false;
+            self.overflown = false;
+            self.started = at;
+            self.len = 0;
+        }
+        let step = self.state.feed(byte);
+        if byte == DELIMITER {
+            self.idle = true;
+        }
+        match step {
+            Ok(DecodeResult::NoData | DecodeResult::DataStart) => None,
+            Ok(DecodeResult::DataContinue(data)) => {
+                match self.buffer.get_mut(self.len) {
+                    Some(place) => {
+                        *place = data;
+                        self.len += 1;
+                    }
+                    None => self.overflown = true,
+                }
+                None
+            }
+            Ok(DecodeResult::DataComplete) if self.overflown => Some(Err(FrameError::TooLong { limit: N })),
+            Ok(DecodeResult::DataComplete) => Some(match verify(&self.buffer[..self.len], self.check) {
+                Ok(len) => Ok(Frame { packet: &mut self.buffer[..len], started: self.started }),
+                Err(error) => Err(error),
+            }),
+            Err(_) if self.overflown => Some(Err(FrameError::TooLong { limit: N })),
+            Err(_) => Some(Err(FrameError::Malformed)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use proptest::prelude::*;
+    use std::vec::Vec;
+
+    const CHECKS: [Check; 3] = [Check::None, Check::Crc16, Check::Crc32];
+
+    fn framed(packet: &[u8], check: Check) -> Vec<u8> {
+        let mut out = std::vec![0xee; encoded_len_max(packet.len(), check)];
+        let len = encode(packet, check, &mut out).unwrap();
+        out.truncate(len);
+        out
+    }
+
+    fn feed<const N: usize>(deframer: &mut Deframer<N>, bytes: &[u8]) -> Vec<Result<(Vec<u8>, LocalTicks), FrameError>> {
+        let mut out = Vec::new();
+        for (n, byte) in bytes.iter().enumerate() {
+            if let Some(result) = deframer.push(*byte, LocalTicks::from_us(n as u64)) {
+                out.push(result.map(|frame| (frame.packet.to_vec(), frame.started)));
+            }
+        }
+        out
+    }
+
+    /// `[FRM-02]`, `[FRM-03]`: the catalogue's check values.
+    #[test]
+    fn checks_are_the_catalogues() {
+        assert_eq!(Check::Crc16.of(b"123456789"), 0x29b1);
+        assert_eq!(Check::Crc32.of(b"123456789"), 0xcbf4_3926);
+    }
+
+    /// `[FRM-06]`: one too long is counted once and does not spoil the next.
+    #[test]
+    fn an_overlong_frame_is_one_error() {
+        let mut deframer = Deframer::<8>::new(Check::Crc16);
+        let mut bytes = framed(&[1; 40], Check::Crc16);
+        bytes.extend(framed(&[5, 6], Check::Crc16));
+        let got = feed(&mut deframer, &bytes);
+        let start = LocalTicks::from_us(44); // 40 + 2 + 1 overhead + 1 delimiter
+        assert_eq!(got, [Err(FrameError::TooLong { limit: 8 }), Ok((std::vec![5, 6], start))]);
+    }
+
+    /// `[FRM-05]`: idle zeros are nothing, `[FRM-08]`: the stamp is the first byte's.
+    #[test]
+    fn idle_zeros_are_ignored_and_the_stamp_is_the_first_bytes() {
+        let mut bytes = std::vec![0, 0, 0];
+        bytes.extend(framed(&[9, 0, 9], Check::Crc16));
+        let got = feed(&mut Deframer::<16>::new(Check::Crc16), &bytes);
+        assert_eq!(got, [Ok((std::vec![9, 0, 9], LocalTicks::from_us(3)))]);
+    }
+
+    /// `[FRM-07]`: a cut frame is one error, the next one is whole.
+    #[test]
+    fn a_cut_frame_does_not_spoil_the_next() {
+        let good = framed(&[1, 2, 3, 4], Check::Crc32);
+        let mut bytes = good[..3].to_vec();
+        bytes.push(DELIMITER);
+        bytes.extend(&good);
+        let got = feed(&mut Deframer::<16>::new(Check::Crc32), &bytes);
+        assert_eq!(got[0], Err(FrameError::Malformed));
+        assert_eq!(got[1].as_ref().unwrap().0, [1, 2, 3, 4]);
+    }
+
+    proptest! {
+        /// `[FRM-01]`: any packet comes back, by slice and byte by byte, and its frame has one zero, at its end.
+        #[test]
+        fn frames_round_trip(packet in proptest::collection::vec(any::<u8>(), 1..700), which in 0usize..3) {
+            let check = CHECKS[which];
+            let frame = framed(&packet, check);
+            prop_assert_eq!(frame.iter().position(|b| *b == 0), Some(frame.len() - 1));
+            let mut out = [0; 800];
+            let len = decode(&frame, check, &mut out).unwrap();
+            prop_assert_eq!(&out[..len], &packet[..]);
+            let got = feed(&mut Deframer::<800>::new(check), &frame);
+            prop_assert_eq!(got, [Ok((packet, LocalTicks::ZERO))]);
+        }
+
+        /// A single flipped bit never passes a check: it is an error or, where it made a delimiter, several.
+        #[test]
+        fn a_flipped_bit_is_found(packet in proptest::collection::vec(any::<u8>(), 1..60), bit in any::<prop::sample::Index>(), which in 1usize..3) {
+            let check = CHECKS[which];
+            let mut frame = framed(&packet, check);
+            let bit = bit.index((frame.len() - 1) * 8);
+            frame[bit / 8] ^= 1 << (bit % 8);
+            for result in feed(&mut Deframer::<128>::new(check), &frame) {
+                if let Ok((got, _)) = result {
+                    prop_assert!(false, "accepted {got:?} for {packet:?}");
+                }
+            }
+        }
+
+        /// `[FRM-07]`: slice and stream agree on any bytes.
+        #[test]
+        fn both_decoders_agree(mut bytes in proptest::collection::vec(1u8.., 1..60)) {
+            bytes.push(DELIMITER);
+            let mut out = [0; 32];
+            let by_slice = decode(&bytes, Check::Crc16, &mut out).map(|len| out[..len].to_vec());
+            let by_byte = feed(&mut Deframer::<32>::new(Check::Crc16), &bytes).remove(0).map(|(packet, _)| packet);
+            prop_assert_eq!(by_slice, by_byte);
+        }
+    }
+}

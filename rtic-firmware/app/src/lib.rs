@@ -1,0 +1,3 @@
+//! Crate root.
+#![no_std]
+#![forbid(unsafe_code)]

@@ -1,0 +1,5 @@
+//! A deterministic discrete-event world of real OSAP nodes.
+#![forbid(unsafe_code)]
+
+pub mod capture;
+pub mod faults;
