@@ -1,0 +1,127 @@
+//! `cargo xtask`: the only build driver. What a person, a hook or CI runs goes through here.
+//!
+//! This file is the command line and nothing else: [`stages`] has the commands, [`setup`] what a machine needs,
+//! [`report`] what `test` closes with, [`tally`] how tests are counted, [`run`] how programs are started, and
+//! [`picture`] how the demonstration is drawn.
+#![forbid(unsafe_code)]
+
+mod picture;
+mod report;
+mod run;
+mod setup;
+mod stages;
+mod tally;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand, ValueEnum};
+
+#[derive(Parser)]
+#[command(name = "cargo xtask", bin_name = "cargo xtask", about = "The only build driver of this repository")]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Set up what is needed, run every check, and close with a table and a count
+    Test,
+    /// Install what the checks need: components, targets, packages
+    Setup,
+    /// Format the sources
+    Fmt {
+        /// Change nothing; fail where something is not formatted
+        #[arg(long)]
+        check: bool,
+    },
+    /// Run clippy on everything, warnings denied
+    Lint,
+    /// Build the cores for bare-metal targets
+    Nostd,
+    /// Check the rules of the repository: dependencies, clauses, sizes, words
+    Tidy,
+    /// Feed random and mutated packets to the parsers and the node
+    Fuzz {
+        /// How many inputs
+        #[arg(long, default_value_t = 1_000_000)]
+        inputs: u64,
+        /// Where the random numbers start; the same seed gives the same inputs
+        #[arg(long, default_value_t = 1)]
+        seed: u64,
+        /// What to feed
+        #[arg(long, value_enum, default_value_t = FuzzTarget::All)]
+        target: FuzzTarget,
+    },
+    /// Measure; without a name all benchmarks
+    Bench {
+        /// A benchmark's name, and what else it takes
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
+    },
+    /// Draw the output of `osap demo` to docs/demo.svg
+    DemoPicture {
+        /// Write nothing; fail where the committed picture differs
+        #[arg(long)]
+        check: bool,
+    },
+    /// Write man pages and shell completions below target/
+    Docs,
+}
+
+/// What the fuzzer can feed.
+#[derive(Clone, Copy, ValueEnum)]
+enum FuzzTarget {
+    Frame,
+    Header,
+    Node,
+    All,
+}
+
+fn main() -> ExitCode {
+    let result = match Cli::parse().command {
+        Command::Test => return stages::test(),
+        Command::Setup => setup::run().complete(),
+        Command::Fmt { check } => stages::fmt(check),
+        Command::Lint => stages::lint(),
+        Command::Nostd => stages::nostd(),
+        Command::Tidy => stages::tidy(),
+        Command::Fuzz { inputs, seed, target } => {
+            let target = target.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
+            stages::fuzz(inputs, seed, &target)
+        }
+        Command::Bench { arguments } => stages::bench(&arguments),
+        Command::DemoPicture { check } => picture::demo(check),
+        Command::Docs => stages::docs(),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_sound_and_every_command_has_its_line_of_help() {
+        let command = Cli::command();
+        command.clone().debug_assert();
+        for subcommand in command.get_subcommands() {
+            let about = subcommand.get_about().map(ToString::to_string).unwrap_or_default();
+            assert!(!about.is_empty() && !about.contains('\n'), "{}: {about:?}", subcommand.get_name());
+        }
+    }
+
+    #[test]
+    fn what_a_benchmark_takes_is_passed_on_untouched() {
+        let cli = Cli::parse_from(["xtask", "bench", "route", "--seconds", "2"]);
+        let Command::Bench { arguments } = cli.command else { panic!("not the bench command") };
+        assert_eq!(arguments, ["route", "--seconds", "2"]);
+    }
+}

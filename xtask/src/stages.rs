@@ -1,0 +1,146 @@
+//! The commands, and `test`, which runs them all as stages and goes on after one that fails.
+
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+use crate::report::{Outcome, Report};
+use crate::run::{Error, Program, root, write};
+use crate::setup::{self, Setup, TARGETS};
+use crate::tally::{Counts, Tally};
+
+/// Crates that run on a device, built for each bare-metal target.
+const CORES: &str = "-p fixed-math -p osap-protocol -p osap-runtime -p firmware-app";
+
+/// A short run on every change; a long one is `cargo xtask fuzz`.
+const FUZZ: &str = "run --release -p osap-fuzz -- --inputs 200000 --seed 1";
+
+/// Shells that completions are written for, with the file names that the shells look for.
+const SHELLS: [(&str, &str); 3] = [("bash", "osap.bash"), ("zsh", "_osap"), ("fish", "osap.fish")];
+
+/// Runs every check and closes with a table and a count. One run reports all that is wrong.
+pub(crate) fn test() -> ExitCode {
+    let started = Instant::now();
+    let setup = setup::run();
+    let mut report = Report::default();
+    report.add("setup", Outcome::Ok, started.elapsed(), Counts::default());
+    stage(&mut report, &setup, "format", || fmt(true));
+    stage(&mut report, &setup, "lint", lint);
+    test_workspace(&mut report);
+    for (_, _, test) in setup::PACKAGES {
+        if let Some(why) = setup.why_not(test) {
+            report.add(test, Outcome::NotRun(why.to_owned()), Duration::ZERO, Counts::default());
+        }
+    }
+    stage(&mut report, &setup, "documentation", documentation);
+    for target in TARGETS {
+        stage(&mut report, &setup, &setup::build_stage(target), || build_cores(target));
+    }
+    stage(&mut report, &setup, "fuzz, short", || Program::cargo(FUZZ).run());
+    println!("\n{}", report.render());
+    if report.has_failed() { ExitCode::FAILURE } else { ExitCode::SUCCESS }
+}
+
+/// Formats all sources, or only looks.
+pub(crate) fn fmt(check: bool) -> Result<(), Error> {
+    Program::cargo("fmt --all").args(check.then_some("--check")).run()
+}
+
+/// Clippy on everything, warnings denied.
+pub(crate) fn lint() -> Result<(), Error> {
+    Program::cargo("clippy --workspace --all-targets -- -D warnings").run()
+}
+
+/// Builds the cores for every bare-metal target.
+pub(crate) fn nostd() -> Result<(), Error> {
+    let setup = setup::targets();
+    for target in TARGETS.into_iter().filter(|target| setup.why_not(&setup::build_stage(target)).is_none()) {
+        build_cores(target)?;
+    }
+    setup.complete()
+}
+
+/// The rules of the repository as tests.
+pub(crate) fn tidy() -> Result<(), Error> {
+    Program::cargo("test -p tidy").run()
+}
+
+/// A fuzz run of any length.
+pub(crate) fn fuzz(inputs: u64, seed: u64, target: &str) -> Result<(), Error> {
+    let (inputs, seed) = (inputs.to_string(), seed.to_string());
+    let flags = ["--inputs", &inputs, "--seed", &seed, "--target", target];
+    Program::cargo("run --release -p osap-fuzz --").args(flags).run()
+}
+
+/// Benchmarks, with whatever they take.
+pub(crate) fn bench(arguments: &[String]) -> Result<(), Error> {
+    Program::cargo("run --release -p osap-bench --").args(arguments).run()
+}
+
+/// Man pages and shell completions, as the program itself writes them.
+pub(crate) fn docs() -> Result<(), Error> {
+    let osap = || Program::cargo("run --quiet --release -p osap --bin osap --");
+    osap().args(["man", "--out", "target/man"]).run()?;
+    for (shell, file) in SHELLS {
+        let text = osap().args(["completions", shell]).capture()?;
+        write(&root().join("target/completions").join(file), &text)?;
+    }
+    eprintln!("wrote target/man and target/completions");
+    Ok(())
+}
+
+/// Unit, integration and doc tests of every crate; `tidy` is one of them.
+fn test_workspace(report: &mut Report) {
+    let started = Instant::now();
+    let mut tally = Tally::default();
+    let result = Program::cargo("test --workspace --no-fail-fast").run_watched(|piece| tally.feed(piece));
+    report.add("test, with tidy and doc tests", outcome(result), started.elapsed(), tally.finish());
+}
+
+fn documentation() -> Result<(), Error> {
+    Program::cargo("doc --workspace --no-deps").env("RUSTDOCFLAGS", "-D warnings").run()
+}
+
+/// One Cargo call for each target, so that features wanted by one never reach the other.
+fn build_cores(target: &str) -> Result<(), Error> {
+    Program::cargo("build").args(CORES.split_whitespace()).args(["--target", target]).run()
+}
+
+/// Runs a stage, unless what it needs is missing.
+fn stage(report: &mut Report, setup: &Setup, name: &str, run: impl FnOnce() -> Result<(), Error>) {
+    let started = Instant::now();
+    let outcome = match setup.why_not(name) {
+        Some(why) => Outcome::NotRun(why.to_owned()),
+        None => outcome(run()),
+    };
+    report.add(name, outcome, started.elapsed(), Counts::default());
+}
+
+fn outcome(result: Result<(), Error>) -> Outcome {
+    match result {
+        Ok(()) => Outcome::Ok,
+        Err(error) => Outcome::Failed(error.to_string()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stage_that_fails_is_reported_and_the_next_one_runs() {
+        let (mut report, setup) = (Report::default(), Setup::default());
+        stage(&mut report, &setup, "bad", || Err(Error::NotRun { count: 1 }));
+        stage(&mut report, &setup, "good", || Ok(()));
+        let text = report.render();
+        assert!(report.has_failed() && text.contains("bad   FAILED") && text.contains("good  ok"), "{text}");
+    }
+
+    #[test]
+    fn a_stage_that_misses_something_is_not_tried() {
+        let (mut report, mut setup) = (Report::default(), Setup::default());
+        setup.add("build".to_owned(), "no network".to_owned());
+        stage(&mut report, &setup, "build", || panic!("it was tried"));
+        let text = report.render();
+        assert!(!report.has_failed() && text.contains("build  NOT RUN") && text.ends_with("1 skipped"), "{text}");
+    }
+}
