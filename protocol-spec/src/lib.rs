@@ -15,6 +15,7 @@ pub mod header;
 pub mod route;
 pub mod system;
 pub mod transport;
+pub mod ttl;
 
 pub use address::{BusDrop, GatewayIndex, PortIndex};
 pub use drops::DropCause;
