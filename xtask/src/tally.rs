@@ -70,16 +70,16 @@ fn count_of(result: &str, word: &str) -> u64 {
 mod tests {
     use super::*;
 
-    const OUTPUT: &str = "running 3 tests
-test a ... ok
-test result: ok. 3 passed; 0 failed; 2 ignored; 0 measured; 7 filtered out; finished in 0.01s
+    const OUTPUT: &str = "running 7 tests
+test a ... FAILED
+test result: FAILED. 3 passed; 2 failed; 2 ignored; 0 measured; 7 filtered out; finished in 0.01s
 
 NOT RUN: dissector: tshark is missing
 test b ... FAILED
 test result: FAILED. 40 passed; 1 failed; 0 ignored; 0 measured; 0 filtered out; finished in 1.50s";
 
     fn counted() -> Counts {
-        Counts { passed: 43, failed: 1, ignored: 2, not_run: vec!["dissector: tshark is missing".to_owned()] }
+        Counts { passed: 43, failed: 3, ignored: 2, not_run: vec!["dissector: tshark is missing".to_owned()] }
     }
 
     #[test]
