@@ -564,7 +564,10 @@ mod tests {
     /// `[DSC-07]`: 65 bytes with sequence, key and version, whatever the values.
     #[test]
     fn the_time_controllers_answer_has_fixed_width() {
-        for value in [TimeControl::default(), TimeControl { system_time_steps: u64::MAX, skew_ppb: -1, tier: 255, ..Default::default() }] {
+        for value in [
+            TimeControl::default(),
+            TimeControl { system_time_steps: u64::MAX, skew_ppb: -1, tier: 255, ..Default::default() },
+        ] {
             let mut out = [0; 80];
             let len = encode(Query::TimeControl.key(), &value, &mut out).unwrap();
             assert_eq!(crate::transport::SequencedHeader::LEN + len, 65);
@@ -614,7 +617,8 @@ mod tests {
             sent: u32::MAX,
             dropped: u32::MAX,
         };
-        let counters = CounterPage { first: 255, total: 255, values: core::iter::repeat_n(u32::MAX, COUNTERS_A_PAGE).collect() };
+        let counters =
+            CounterPage { first: 255, total: 255, values: core::iter::repeat_n(u32::MAX, COUNTERS_A_PAGE).collect() };
         let mut out = [0; 2 + BODY_BYTES_MAX];
         encode(7, &page, &mut out).unwrap();
         encode(5, &link, &mut out).unwrap();

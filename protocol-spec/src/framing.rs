@@ -304,7 +304,10 @@ mod tests {
         out
     }
 
-    fn feed<const N: usize>(deframer: &mut Deframer<N>, bytes: &[u8]) -> Vec<Result<(Vec<u8>, LocalTicks), FrameError>> {
+    fn feed<const N: usize>(
+        deframer: &mut Deframer<N>,
+        bytes: &[u8],
+    ) -> Vec<Result<(Vec<u8>, LocalTicks), FrameError>> {
         let mut out = Vec::new();
         for (n, byte) in bytes.iter().enumerate() {
             if let Some(result) = deframer.push(*byte, LocalTicks::from_us(n as u64)) {

@@ -168,7 +168,11 @@ impl core::fmt::Display for HeaderError {
         match self {
             Self::Short { len } => write!(f, "{len} bytes; a header with one instruction has at least 6"),
             Self::PointerOutside { pointer, len } => {
-                write!(f, "the pointer is {pointer}; the route of this packet lies in bytes 5 to {}", len.saturating_sub(1))
+                write!(
+                    f,
+                    "the pointer is {pointer}; the route of this packet lies in bytes 5 to {}",
+                    len.saturating_sub(1)
+                )
             }
             Self::InstructionCut { pointer, need, left } => {
                 write!(f, "the instruction at byte {pointer} needs {need} bytes, {left} are left")
@@ -283,7 +287,9 @@ impl<B: AsRef<[u8]>> Packet<B> {
     /// Transport key and payload of a packet whose pointer is on a port instruction.
     pub fn transport(&self) -> Option<(u8, &[u8])> {
         match self.instruction() {
-            Instruction::Port { .. } => self.bytes()[self.after_instruction()..].split_first().map(|(key, rest)| (*key, rest)),
+            Instruction::Port { .. } => {
+                self.bytes()[self.after_instruction()..].split_first().map(|(key, rest)| (*key, rest))
+            }
             _ => None,
         }
     }
@@ -365,7 +371,13 @@ pub struct BufferTooSmall {
 ///
 /// # Errors
 /// [`BufferTooSmall`] with both lengths.
-pub fn emit(out: &mut [u8], ttl_us: u16, mtu_bytes: u16, route: Route<'_>, terminal: Terminal) -> Result<usize, BufferTooSmall> {
+pub fn emit(
+    out: &mut [u8],
+    ttl_us: u16,
+    mtu_bytes: u16,
+    route: Route<'_>,
+    terminal: Terminal,
+) -> Result<usize, BufferTooSmall> {
     let steps = route.bytes();
     let need = steps.len()
         + match terminal {
@@ -437,11 +449,16 @@ mod tests {
     /// `[PKT-03]`, worked by hand: `port(3 → 0)` is `11 000000 | 00011 000 | 00000000`. The destination was once shifted wrongly.
     #[test]
     fn a_port_instruction_carries_two_eleven_bit_indices() {
-        for (source, destination, encoded) in
-            [(3, 0, [0xc0, 0x18, 0x00]), (0, 3, [0xc0, 0x00, 0x03]), (1024, 2047, [0xe0, 0x07, 0xff]), (2047, 256, [0xff, 0xf9, 0x00])]
-        {
-            let port =
-                Instruction::Port { source: PortIndex::new(source).unwrap(), destination: PortIndex::new(destination).unwrap() };
+        for (source, destination, encoded) in [
+            (3, 0, [0xc0, 0x18, 0x00]),
+            (0, 3, [0xc0, 0x00, 0x03]),
+            (1024, 2047, [0xe0, 0x07, 0xff]),
+            (2047, 256, [0xff, 0xf9, 0x00]),
+        ] {
+            let port = Instruction::Port {
+                source: PortIndex::new(source).unwrap(),
+                destination: PortIndex::new(destination).unwrap(),
+            };
             let mut out = [0; 3];
             assert_eq!((port.encode(&mut out), out), (3, encoded));
             assert_eq!(Instruction::decode(&encoded), Some(port));

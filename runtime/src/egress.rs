@@ -1,0 +1,72 @@
+//! Egress: the earliest packet for a gateway that is clear to send, with its TTL brought up to date.
+//!
+//! - **Walk:** stack → *here* → framing → the wire. **Context:** the node's; O(stack).
+//! - **Invariant:** what leaves still has time to live when its last byte arrives.
+//! - **Clauses:** `[PKT-10]`, `[PKT-12]`, `[SYS-03]`, `[NOD-06]`.
+
+use crate::node::Node;
+use crate::pool::Taker;
+use fixed_math::time::LocalTicks;
+use osap_protocol::discovery::Stage;
+use osap_protocol::ttl::ttl_after;
+use osap_protocol::{BusDrop, DropCause, GatewayIndex, Instruction, Packet};
+
+/// A packet to be sent now.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Outgoing {
+    /// Bytes of it in the caller's buffer.
+    pub len: usize,
+    /// On a bus, the drop that shall take it, 255 for all.
+    pub to: Option<BusDrop>,
+}
+
+impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS: usize>
+    Node<SLOTS, BYTES, GATEWAYS, PORTS>
+{
+    /// Whether [`Node::transmit`] would find something for `gateway`, but for packets that expire before.
+    #[must_use]
+    pub fn has_output(&self, gateway: GatewayIndex, now: LocalTicks) -> bool {
+        self.gateways
+            .get(gateway.at())
+            .is_some_and(|it| it.open && (it.waiting > 0 || it.announce_at.is_some_and(|at| at <= now)))
+    }
+
+    /// Copies the next packet for `gateway` into `out`, to be called when the gateway is clear to send. `out` holds the gateway's
+    /// MTU; a packet that it cannot hold is dropped, `over-mtu`.
+    pub fn transmit(&mut self, index: GatewayIndex, now: LocalTicks, out: &mut [u8]) -> Option<Outgoing> {
+        let gateway = self.gateways.get(index.at()).filter(|gateway| gateway.open)?;
+        if gateway.announce_at.is_some_and(|at| at <= now)
+            && let Some(outgoing) = self.announce(index, now, out)
+        {
+            return Some(outgoing);
+        }
+        self.expire(now);
+        while self.gateways[index.at()].waiting > 0 {
+            let id = self.stack.take_for(&mut self.pool, Taker::Gateway(index))?;
+            self.leave_stack(&id);
+            let tag = *self.pool.tag(&id);
+            let len = self.pool.bytes(&id).len();
+            let wire = self.gateways[index.at()].config.wire_time(len);
+            let Some(ttl_us) = ttl_after(tag.ttl_us, now.since(tag.arrived), wire) else {
+                self.discard(id, DropCause::Expired, now);
+                continue;
+            };
+            let (Some(room), Ok(mut packet)) = (out.get_mut(..len), Packet::check(self.pool.bytes_mut(&id))) else {
+                self.discard(id, DropCause::OverMtu, now);
+                continue;
+            };
+            packet.set_ttl_us(ttl_us);
+            let to = match packet.instruction() {
+                Instruction::Bus { drop, .. } => Some(drop),
+                _ => None,
+            };
+            room.copy_from_slice(packet.bytes());
+            self.relinquish(id);
+            let gateway = &mut self.gateways[index.at()];
+            gateway.sent = gateway.sent.wrapping_add(1);
+            self.stage(Stage::Egress, Taker::Gateway(index), now);
+            return Some(Outgoing { len, to });
+        }
+        None
+    }
+}

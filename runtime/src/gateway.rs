@@ -1,0 +1,116 @@
+//! A node's end of a link or bus: what it is, whether it can carry packets, who is at the other end.
+//!
+//! - **Walk:** ingress names the gateway a packet came by; routing names the one it leaves by.
+//! - **Clauses:** `[LNK-02]` description, `[NOD-01]` hold, `[SYS-04]` neighbour.
+
+use fixed_math::time::{LocalTicks, Span};
+use osap_protocol::discovery::{GatewayKind, LinkInfo, Neighbour};
+use osap_protocol::framing::{Check, encoded_len_max};
+use osap_protocol::ttl::wire_time;
+
+/// What does not change about a gateway.
+#[derive(Clone, Copy, Debug)]
+pub struct GatewayConfig {
+    /// Kind of hardware, such as `uart` or `usb-cdc`; cut to `NAME_BYTES_MAX`.
+    pub type_name: &'static str,
+    /// Link or bus.
+    pub kind: GatewayKind,
+    /// Largest packet, bytes.
+    pub mtu_bytes: u16,
+    /// Bits a second on the wire; 0 where unknown.
+    pub bit_rate: u32,
+    /// Bits each byte takes on the wire.
+    pub bits_a_byte: u8,
+    /// Guard of its frames.
+    pub check: Check,
+    /// Packets it may hold in the pool at once.
+    pub packet_hold_max: u8,
+}
+
+impl GatewayConfig {
+    /// Time a packet of `packet_len` bytes takes on the wire, framing included; zero where the rate is unknown.
+    #[must_use]
+    pub fn wire_time(&self, packet_len: usize) -> Span {
+        wire_time(encoded_len_max(packet_len, self.check), self.bits_a_byte, self.bit_rate)
+    }
+}
+
+/// A neighbour and when it was last heard.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Heard {
+    pub(crate) neighbour: Neighbour,
+    pub(crate) at: LocalTicks,
+}
+
+/// One gateway of a node.
+#[derive(Debug)]
+pub struct Gateway {
+    pub(crate) config: GatewayConfig,
+    pub(crate) open: bool,
+    /// Slots it owns.
+    pub(crate) held: u8,
+    /// Packets in the stack that leave by it.
+    pub(crate) waiting: u16,
+    pub(crate) received: u32,
+    pub(crate) sent: u32,
+    pub(crate) dropped: u32,
+    pub(crate) heard: Option<Heard>,
+    /// When to announce ourselves next; `None` while closed, or on a bus after it was done.
+    pub(crate) announce_at: Option<LocalTicks>,
+    /// Latest change of neighbour that nobody has asked for yet.
+    pub(crate) change: Option<osap_protocol::discovery::NeighbourChange>,
+}
+
+impl Gateway {
+    pub(crate) const fn new(config: GatewayConfig) -> Self {
+        Self {
+            config,
+            open: false,
+            held: 0,
+            waiting: 0,
+            received: 0,
+            sent: 0,
+            dropped: 0,
+            heard: None,
+            announce_at: None,
+            change: None,
+        }
+    }
+
+    /// What does not change about it.
+    #[must_use]
+    pub const fn config(&self) -> &GatewayConfig {
+        &self.config
+    }
+
+    /// Whether it can carry packets.
+    #[must_use]
+    pub const fn is_open(&self) -> bool {
+        self.open
+    }
+
+    /// Who announced itself last, on a link.
+    #[must_use]
+    pub fn neighbour(&self) -> Option<Neighbour> {
+        self.heard.map(|heard| heard.neighbour)
+    }
+
+    /// Answer to query 5.
+    #[must_use]
+    pub fn info(&self) -> LinkInfo {
+        LinkInfo {
+            type_name: crate::port::name_of(self.config.type_name),
+            kind: self.config.kind,
+            open: self.open,
+            mtu_bytes: self.config.mtu_bytes,
+            bit_rate: self.config.bit_rate,
+            bits_a_byte: self.config.bits_a_byte,
+            check: self.config.check,
+            neighbour: self.neighbour(),
+            packet_hold_max: self.config.packet_hold_max,
+            received: self.received,
+            sent: self.sent,
+            dropped: self.dropped,
+        }
+    }
+}

@@ -1,0 +1,167 @@
+//! Port 0: answers what a scanner asks.
+//!
+//! - **Walk:** stack → *here* → the query's own packet, turned back → stack.
+//! - **Invariants:** one answer or one named drop a query, in bounded time; a refusal changes nothing; asking again gives the same.
+//! - **Context:** the node's (the routing task), so that no user code delays it. **Clauses:** `[DSC-01]` to `[DSC-07]`.
+
+use crate::mailbox::{Delivery, Mailbox};
+use crate::node::Node;
+use fixed_math::time::LocalTicks;
+use osap_protocol::discovery::{
+    BODY_BYTES_MAX, Event, Message, Query, Refusal, RuntimeInfo, ScanId, TimeSettings, VERSION, Verbosity, check_query,
+    decode, encode,
+};
+use osap_protocol::header::PORT_HEADER_BYTES;
+use osap_protocol::transport::{SequencedHeader, SequencedKind};
+use osap_protocol::{DropCause, PortIndex};
+
+/// Room for any answer: key, version, body.
+type Answer = [u8; 2 + BODY_BYTES_MAX];
+
+impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS: usize>
+    Node<SLOTS, BYTES, GATEWAYS, PORTS>
+{
+    /// Answers every query that waits, at most one a slot.
+    pub(crate) fn answer_queries(&mut self, now: LocalTicks) {
+        while let Some(delivery) = self.take(PortIndex::NETRESPONDER, now) {
+            self.answer(delivery, now);
+        }
+    }
+
+    fn answer(&mut self, delivery: Delivery, now: LocalTicks) {
+        let cause = match delivery.sequenced.map(|header| header.kind) {
+            Some(SequencedKind::Request) => check_query(self.payload(&delivery)).err(),
+            Some(SequencedKind::Reply | SequencedKind::Refusal) => Some(DropCause::ReplyUnmatched),
+            None => Some(DropCause::QueryMalformed),
+        };
+        if let Some(cause) = cause {
+            self.release(delivery, Some(cause), now);
+            return;
+        }
+        let mut query = [0; 64];
+        let payload = self.payload(&delivery);
+        let key = payload[0];
+        let room = self.room_for_answer(&delivery);
+        let asked = match query.get_mut(..payload.len()) {
+            Some(place) => {
+                place.copy_from_slice(payload);
+                &query[..payload.len()]
+            }
+            None => &[key, VERSION][..], // longer than any query: its body will not decode
+        };
+        let mut out: Answer = [0; _];
+        // an answer is counted where it fails, so nothing is lost silently
+        let _counted = match decode(asked).and_then(|message| self.serve(message, now, &mut out[..room])) {
+            Ok(len) => self.reply(delivery, &[&out[..len]], now),
+            Err(refusal) => self.refuse(delivery, &[&[key, VERSION, refusal.code()]], now),
+        };
+    }
+
+    /// Bytes that an answer may have, so that its packet fits the route's MTU and the slot.
+    fn room_for_answer(&self, delivery: &Delivery) -> usize {
+        let head = PORT_HEADER_BYTES + self.taken_steps(delivery).len() + SequencedHeader::LEN;
+        let mtu = usize::from(delivery.mtu_bytes).min(BYTES);
+        mtu.saturating_sub(head).min(2 + BODY_BYTES_MAX)
+    }
+
+    /// Carries out one query and writes its answer into `out`.
+    fn serve(&mut self, message: Message<'_>, now: LocalTicks, out: &mut [u8]) -> Result<usize, Refusal> {
+        let Message { key, body } = message;
+        match Query::from_key(key)? {
+            Query::RuntimeInfo => {
+                let id = body.read()?;
+                let info = self.runtime_info(id, now);
+                let len = encode(key, &info, out)?;
+                self.remember_visit(id);
+                Ok(len)
+            }
+            Query::TypeName => {
+                body.read::<()>()?;
+                encode(key, &crate::port::name_of(self.identity.type_name), out)
+            }
+            Query::RuntimeName => {
+                body.read::<()>()?;
+                encode(key, &self.name, out)
+            }
+            Query::SetRuntimeName => {
+                let name = body.read()?;
+                self.rename(name, now);
+                encode(key, &(), out)
+            }
+            Query::LinkInfo => {
+                let gateway = self.gateways.get(usize::from(body.read::<u8>()?)).ok_or(Refusal::Index)?;
+                encode(key, &gateway.info(), out)
+            }
+            Query::PortInfo => {
+                let port = self.ports.get(usize::from(body.read::<u16>()?)).ok_or(Refusal::Index)?;
+                encode(key, &port.info(), out)
+            }
+            Query::DebugMessages => {
+                let cursor = body.read()?;
+                self.encode_debug_page(cursor, out)
+            }
+            Query::SetDebugVerbosity => {
+                let verbosity = body.read::<Verbosity>()?;
+                self.debug.set_verbosity(verbosity);
+                encode(key, &(), out)
+            }
+            Query::TimeControl => {
+                body.read::<()>()?;
+                encode(key, &self.clock.control(now), out)
+            }
+            Query::SetTimeControl => {
+                self.clock.set(body.read::<TimeSettings>()?)?;
+                encode(key, &(), out)
+            }
+            Query::Counters => encode(key, &self.counters.page(body.read()?), out),
+        }
+    }
+
+    fn runtime_info(&self, id: ScanId, now: LocalTicks) -> RuntimeInfo {
+        let [last, before] = self.visits;
+        #[expect(
+            clippy::cast_possible_truncation,
+            reason = "six bits, eleven bits, sixteen bits by Node::new and Pool::new"
+        )]
+        RuntimeInfo {
+            // the same id again is a retry, and gets what the first try got, `[DSC-03]`
+            previous: if id == last { before } else { last },
+            unique_id: self.identity.unique_id,
+            boot_epoch: self.identity.boot_epoch,
+            version: self.identity.version,
+            build: self.identity.build,
+            gateways: self.gateways.len() as u8,
+            ports: self.ports.len() as u16,
+            packet_bytes_max: BYTES as u16,
+            slots: SLOTS as u16,
+            topology_generation: self.topology_generation,
+            uptime_us: now.as_us(),
+        }
+    }
+
+    fn remember_visit(&mut self, id: ScanId) {
+        let [last, _] = self.visits;
+        if id != last {
+            self.visits = [id, last];
+        }
+    }
+
+    fn rename(&mut self, name: osap_protocol::discovery::Name, now: LocalTicks) {
+        if self.name != name {
+            self.name = name;
+            self.renamed = true;
+            self.debug.record(Verbosity::Events, now, || Event::Renamed);
+        }
+    }
+
+    /// A page of as many events as fit, `[DSC-06]`.
+    fn encode_debug_page(&self, cursor: u32, out: &mut [u8]) -> Result<usize, Refusal> {
+        let mut page = self.debug.page(cursor);
+        loop {
+            match encode(Query::DebugMessages.key(), &page, out) {
+                Err(Refusal::TooLong) if page.events.pop().is_some() => page.next = page.next.wrapping_sub(1),
+                result => return result,
+            }
+        }
+    }
+}
