@@ -266,3 +266,272 @@ fn draw_gap(rng: &mut Pcg64, rate: f64) -> u64 {
     let gap = (uniform.ln() / (-rate).ln_1p()) as u64;
     gap
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// Everything that is inside, in the order in which it comes out.
+    fn drain(layer: &mut FaultLayer) -> Vec<Vec<u8>> {
+        std::iter::from_fn(|| layer.poll(LocalTicks::MAX)).collect()
+    }
+
+    /// Offers `count` numbered frames of four bytes, 1 µs apart.
+    fn offer_numbered(layer: &mut FaultLayer, count: u32) {
+        for n in 0..count {
+            layer.offer(LocalTicks::from_us(u64::from(n)), &n.to_le_bytes());
+        }
+    }
+
+    fn numbers(frames: &[Vec<u8>]) -> Vec<u32> {
+        frames.iter().map(|frame| u32::from_le_bytes(frame[..].try_into().unwrap())).collect()
+    }
+
+    fn layer(text: &str) -> FaultLayer {
+        FaultLayer::new(text.parse().unwrap())
+    }
+
+    /// Whether `count` is within five standard deviations of what `trials` with probability `p` give: σ² = n p (1 − p).
+    /// Beyond that lies less than one seed in a million.
+    fn plausible(count: u64, trials: f64, p: f64) -> bool {
+        #[expect(clippy::cast_precision_loss, reason = "far below 2^53")]
+        let off = (count as f64 - trials * p).abs();
+        off <= 5.0 * (trials * p * (1.0 - p)).sqrt()
+    }
+
+    #[test]
+    fn the_loss_rate_is_the_one_asked_for() {
+        let mut layer = layer("loss=0.01,seed=1");
+        for _ in 0..100_000 {
+            layer.offer(LocalTicks::ZERO, &[1]);
+            layer.poll(LocalTicks::ZERO);
+        }
+        let lost = layer.counts().lost;
+        assert!(plausible(lost, 1e5, 0.01), "{lost} of 100000 lost");
+    }
+
+    #[test]
+    fn bits_flip_at_the_rate_asked_for_and_are_all_counted() {
+        let mut layer = layer("ber=0.001,seed=2");
+        let mut flipped = 0;
+        for _ in 0..1_000 {
+            layer.offer(LocalTicks::ZERO, &[0; 1_000]);
+            let frame = layer.poll(LocalTicks::ZERO).unwrap();
+            flipped += frame.iter().map(|byte| u64::from(byte.count_ones())).sum::<u64>();
+        }
+        assert_eq!(flipped, layer.counts().bits_flipped);
+        assert!(plausible(flipped, 8e6, 1e-3), "{flipped} of 8 million bits");
+        // A frame of 8000 bits stays whole with probability 0.999^8000 = 0.000334.
+        assert!(layer.counts().corrupted > 980, "{:?}", layer.counts());
+    }
+
+    /// The gap to the next flip is carried from frame to frame: one draw for some 10⁹ bits, not one a bit or a frame.
+    #[test]
+    fn rare_flips_cost_no_draws() {
+        let mut layer = layer("ber=1e-9,seed=3");
+        let gap = layer.bits_to_flip;
+        assert!(gap > 8_000_000, "this seed's first gap is {gap}");
+        let before = layer.rng.clone();
+        for _ in 0..1_000 {
+            layer.offer(LocalTicks::ZERO, &[0; 1_000]);
+            layer.poll(LocalTicks::ZERO);
+        }
+        assert_eq!(layer.rng, before);
+        assert_eq!(layer.bits_to_flip, gap - 8_000_000);
+    }
+
+    #[test]
+    fn at_a_rate_of_one_every_bit_flips() {
+        let mut layer = layer("ber=1");
+        layer.offer(LocalTicks::ZERO, &[0x0f, 0xaa]);
+        assert_eq!(drain(&mut layer), [[0xf0, 0x55]]);
+    }
+
+    /// Two frames at once: the second waits for the first. A lost one takes its time too.
+    #[test]
+    fn bandwidth_serves_one_frame_after_the_other() {
+        let mut layer = layer("bandwidth=8k");
+        layer.offer(LocalTicks::ZERO, &[1]); // 8 bits at 8 kbit/s: 1 ms
+        layer.offer(LocalTicks::ZERO, &[2, 2]);
+        assert_eq!(layer.free_at(), LocalTicks::from_us(3_000));
+        assert_eq!(layer.poll(LocalTicks::from_us(999)), None);
+        assert_eq!(layer.poll(LocalTicks::from_us(1_000)), Some(vec![1]));
+        assert_eq!(layer.next_at(), Some(LocalTicks::from_us(3_000)));
+
+        let mut lossy = self::layer("bandwidth=8k,loss=1");
+        lossy.offer(LocalTicks::ZERO, &[1]);
+        assert_eq!((lossy.free_at(), lossy.inside()), (LocalTicks::from_us(1_000), 0));
+    }
+
+    #[test]
+    fn a_copy_follows_its_original() {
+        let mut layer = layer("dup=1");
+        offer_numbered(&mut layer, 3);
+        assert_eq!(numbers(&drain(&mut layer)), [0, 0, 1, 1, 2, 2]);
+    }
+
+    #[test]
+    fn jitter_alone_keeps_the_order() {
+        let mut layer = layer("delay=5us,jitter=1ms,seed=4");
+        offer_numbered(&mut layer, 500);
+        assert_eq!(numbers(&drain(&mut layer)), (0..500).collect::<Vec<_>>());
+    }
+
+    /// One that is held back comes right behind the last frame it waited for, which is one of the next three.
+    #[test]
+    fn a_frame_held_back_is_overtaken_by_the_next_few() {
+        let mut layer = layer("reorder=0.05,seed=5");
+        offer_numbered(&mut layer, 1_000);
+        let order = numbers(&drain(&mut layer));
+        let late: Vec<usize> = (1..order.len()).filter(|at| order[*at] < order[at - 1]).collect();
+        // Neighbours that are both held can come out behind the same frame in their order: then one step back is seen for two.
+        let reordered = usize::try_from(layer.counts().reordered).unwrap();
+        assert!(plausible(layer.counts().reordered, 1e3, 0.05), "{reordered}");
+        assert!(late.len() > reordered * 3 / 4 && late.len() <= reordered, "{} of {reordered}", late.len());
+        for at in late {
+            let jump = order[at - 1] - order[at];
+            // Up to three that keep the order, and what was held back among them.
+            assert!((1..=2 * OVERTAKEN_MAX).contains(&jump), "{:?}", &order[at - 1..=at]);
+        }
+    }
+
+    #[test]
+    fn a_held_frame_that_nobody_follows_comes_after_the_hold() {
+        let mut layer = layer("reorder=1");
+        layer.offer(LocalTicks::from_us(1), &[1]);
+        assert_eq!(layer.next_at(), Some(LocalTicks::from_us(1) + HOLD));
+        assert_eq!(drain(&mut layer), [[1]]);
+        assert_eq!(layer.next_at(), None);
+    }
+
+    #[test]
+    fn a_full_layer_drops_and_counts() {
+        let mut layer = layer("dup=1");
+        offer_numbered(&mut layer, 600);
+        let counts = layer.counts();
+        assert_eq!((layer.inside(), counts.offered, counts.duplicated, counts.overflowed), (FRAMES_MAX, 600, 512, 88));
+    }
+
+    #[test]
+    fn another_seed_gives_other_faults() {
+        let run = |text: &str| {
+            let mut layer = layer(text);
+            offer_numbered(&mut layer, 100);
+            drain(&mut layer)
+        };
+        assert_ne!(run("loss=0.5,seed=1"), run("loss=0.5,seed=2"));
+    }
+
+    /// The fields are open to anybody: none may make it panic.
+    #[test]
+    fn absurd_numbers_do_not_panic() {
+        for p in [f64::NAN, f64::INFINITY, -1.0, 7.0] {
+            for bandwidth_bits_s in [None, Some(0), Some(u64::MAX)] {
+                let mut layer = FaultLayer::new(FaultConfig {
+                    loss: p / 10.0,
+                    duplication: p,
+                    reorder: p,
+                    delay: Span::MAX,
+                    jitter: Span::MAX,
+                    bit_error_rate: p,
+                    bandwidth_bits_s,
+                    seed: 0,
+                });
+                offer_numbered(&mut layer, 10);
+                drain(&mut layer);
+            }
+        }
+    }
+
+    fn any_config() -> impl Strategy<Value = FaultConfig> {
+        let p = || prop_oneof![Just(0.0), 0.0..0.3];
+        (p(), p(), p(), 0u64..50_000, 0u64..50_000, p(), proptest::option::of(1_000u64..10_000_000), any::<u64>())
+            .prop_map(|(loss, duplication, reorder, delay, jitter, bit_error_rate, bandwidth_bits_s, seed)| {
+                FaultConfig {
+                    loss,
+                    duplication,
+                    reorder,
+                    delay: Span::from_steps(delay),
+                    jitter: Span::from_steps(jitter),
+                    bit_error_rate: bit_error_rate / 10.0,
+                    bandwidth_bits_s,
+                    seed,
+                }
+            })
+    }
+
+    /// Gaps between offers, µs, and the frames.
+    fn any_traffic() -> impl Strategy<Value = Vec<(u64, Vec<u8>)>> {
+        proptest::collection::vec((0u64..300, proptest::collection::vec(any::<u8>(), 0..40)), 0..120)
+    }
+
+    /// Offers all of it, polling as its time comes; then what is left.
+    fn run(
+        layer: &mut FaultLayer,
+        traffic: &[(u64, Vec<u8>)],
+        mut each: impl FnMut(&FaultLayer),
+    ) -> Vec<(LocalTicks, Vec<u8>)> {
+        let mut now = LocalTicks::ZERO;
+        let mut out = Vec::new();
+        for (gap_us, bytes) in traffic {
+            now = now + Span::from_us(*gap_us);
+            out.extend(std::iter::from_fn(|| layer.poll(now)).map(|frame| (now, frame)));
+            layer.offer(now, bytes);
+            each(layer);
+        }
+        while let Some(at) = layer.next_at() {
+            out.extend(layer.poll(at).map(|frame| (at, frame)));
+            each(layer);
+        }
+        out
+    }
+
+    proptest! {
+        /// `[LNK-07]`: no frame appears or vanishes without being counted.
+        #[test]
+        fn frames_are_conserved(config in any_config(), traffic in any_traffic()) {
+            let mut broken = None;
+            run(&mut FaultLayer::new(config), &traffic, |layer| {
+                let c = layer.counts();
+                if c.offered + c.duplicated != c.lost + c.overflowed + c.delivered + layer.inside() as u64 {
+                    broken = Some((c, layer.inside()));
+                }
+            });
+            prop_assert_eq!(broken, None);
+        }
+
+        /// Without faults every frame comes out at once, as it was.
+        #[test]
+        fn no_faults_is_identity(traffic in any_traffic(), seed: u64) {
+            let mut layer = FaultLayer::new(FaultConfig { seed, ..FaultConfig::default() });
+            let mut now = LocalTicks::ZERO;
+            for (gap_us, bytes) in traffic {
+                now = now + Span::from_us(gap_us);
+                layer.offer(now, &bytes);
+                prop_assert_eq!(layer.poll(now), Some(bytes));
+                prop_assert_eq!(layer.poll(now), None);
+            }
+        }
+
+        /// `[LNK-07]`: all is drawn from the seed.
+        #[test]
+        fn one_seed_gives_one_output(config in any_config(), traffic in any_traffic()) {
+            let once = run(&mut FaultLayer::new(config), &traffic, |_| {});
+            let again = run(&mut FaultLayer::new(config), &traffic, |_| {});
+            prop_assert_eq!(once, again);
+        }
+
+        /// Nothing comes before it has crossed the wire and waited its delay, and nothing later than every wait together.
+        #[test]
+        fn a_frame_comes_neither_early_nor_late(config in any_config(), bytes in proptest::collection::vec(any::<u8>(), 0..40)) {
+            let mut layer = FaultLayer::new(FaultConfig { loss: 0.0, ..config });
+            layer.offer(LocalTicks::from_us(9), &bytes);
+            let earliest = layer.free_at() + config.delay;
+            while let Some(at) = layer.next_at() {
+                prop_assert!(at >= earliest && at <= earliest + config.jitter + HOLD);
+                prop_assert!(layer.poll(at).is_some());
+            }
+        }
+    }
+}
