@@ -177,6 +177,12 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         self.stack.len()
     }
 
+    /// Packets waiting for `port`: whether its task has anything to do.
+    #[must_use]
+    pub fn waiting(&self, port: PortIndex) -> usize {
+        self.ports.get(port.at()).map_or(0, |port| usize::from(port.waiting))
+    }
+
     /// Goes up with every change of a neighbour, `[SYS-04]`.
     #[must_use]
     pub const fn topology_generation(&self) -> u32 {
