@@ -277,12 +277,11 @@ impl<const N: usize> Deframer<N> {
                 }
                 None
             }
-            Ok(DecodeResult::DataComplete) if self.overflown => Some(Err(FrameError::TooLong { limit: N })),
+            Ok(DecodeResult::DataComplete) | Err(_) if self.overflown => Some(Err(FrameError::TooLong { limit: N })),
             Ok(DecodeResult::DataComplete) => Some(match verify(&self.buffer[..self.len], self.check) {
                 Ok(len) => Ok(Frame { packet: &mut self.buffer[..len], started: self.started }),
                 Err(error) => Err(error),
             }),
-            Err(_) if self.overflown => Some(Err(FrameError::TooLong { limit: N })),
             Err(_) => Some(Err(FrameError::Malformed)),
         }
     }
@@ -370,17 +369,15 @@ mod tests {
             prop_assert_eq!(got, [Ok((packet, LocalTicks::ZERO))]);
         }
 
-        /// A single flipped bit never passes a check: it is an error or, where it made a delimiter, several.
+        /// `[FRM-03]`: a flipped bit is found. In a data byte it always is; in a code byte it moves a zero, and one such frame in 2^32
+        /// passes: 256 cases a run fail by chance once in 16 million runs.
         #[test]
-        fn a_flipped_bit_is_found(packet in proptest::collection::vec(any::<u8>(), 1..60), bit in any::<prop::sample::Index>(), which in 1usize..3) {
-            let check = CHECKS[which];
-            let mut frame = framed(&packet, check);
+        fn a_flipped_bit_is_found(packet in proptest::collection::vec(any::<u8>(), 1..60), bit in any::<prop::sample::Index>()) {
+            let mut frame = framed(&packet, Check::Crc32);
             let bit = bit.index((frame.len() - 1) * 8);
             frame[bit / 8] ^= 1 << (bit % 8);
-            for result in feed(&mut Deframer::<128>::new(check), &frame) {
-                if let Ok((got, _)) = result {
-                    prop_assert!(false, "accepted {got:?} for {packet:?}");
-                }
+            for (got, _) in feed(&mut Deframer::<128>::new(Check::Crc32), &frame).into_iter().flatten() {
+                prop_assert!(false, "accepted {got:?} for {packet:?}");
             }
         }
 

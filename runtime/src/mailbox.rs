@@ -207,8 +207,8 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         if u64::from(to.ttl_us) < need_us {
             return Err(SendError::TtlTooShort { need_us, ttl_us: to.ttl_us });
         }
-        let instruction =
-            first.map_or(Instruction::Port { source: port, destination: to.destination }, |step| step.instruction());
+        let instruction = first
+            .map_or(Instruction::Port { source: port, destination: to.destination }, osap_protocol::Step::instruction);
         let taker = self.decide(instruction, len).map_err(SendError::Refused)?;
 
         let deadline = now + Span::from_us(u64::from(to.ttl_us));

@@ -80,12 +80,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
     #[must_use]
     pub fn new(identity: Identity, name: &str) -> Self {
         const { assert!(GATEWAYS <= GatewayIndex::COUNT as usize, "six bits name a gateway") };
-        const {
-            assert!(
-                PORTS >= 1 && PORTS <= PortIndex::COUNT as usize,
-                "eleven bits name a port, and port 0 is always there"
-            )
-        };
+        const { assert!(PORTS >= 1 && PORTS <= PortIndex::COUNT as usize, "eleven bits name a port, port 0 among them") };
         const { assert!(BYTES >= 64, "a slot holds at least an announcement and a short reply") };
         let mut ports = heapless::Vec::new();
         let _always_fits = ports.push(Port::new(NETRESPONDER));
