@@ -2,7 +2,7 @@
 //!
 //! - **Walk:** a link's threads → [`LinkEvent`] through one bounded channel → the node's thread → [`LinkHandle::send`] → the link's writer.
 //! - **Invariants:** `send` never waits, since the node's thread is also the one that empties the events' channel. Whatever is
-//!   handed over ends in one `Sent` or in one `Dropped`.
+//!   handed over ends in one `Sent` or, where it could not leave, in one `Dropped`.
 //! - **Clauses:** `[LNK-01]` one packet when clear to send, `[LNK-02]` description.
 
 use fixed_math::time::LocalTicks;
@@ -152,7 +152,8 @@ pub(super) struct Stop {
 }
 
 impl Stop {
-    fn set(&self) {
+    /// Ends the link.
+    pub(super) fn set(&self) {
         // Under the lock, so that no waiter is between its look at the flag and its wait.
         let _guard = self.lock.lock().unwrap_or_else(PoisonError::into_inner);
         self.set.store(true, Ordering::Release);
