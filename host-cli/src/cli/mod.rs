@@ -1,0 +1,153 @@
+//! The command `osap`: one file a command, and what they have in common.
+//!
+//! - **Walk:** `main` → [`Cli`] (the one definition that help, completions and man pages come from) → a command's `run` → the
+//!   library → [`Output`].
+//! - **Invariants:** a command's `run` writes only to its [`Output`] and ends in an [`Exit`] or a [`CliError`], so that tests can call it.
+//!   It decides nothing about the network: what it tells comes from the library.
+//! - **Common:** [`exit`] codes, [`error`]s with their next step, [`output`] sinks, [`table`]s, [`progress`], [`wait`]ing.
+
+pub mod error;
+pub mod exit;
+pub mod output;
+pub mod progress;
+pub mod table;
+pub mod wait;
+
+pub mod completions;
+pub mod key;
+pub mod man;
+
+pub use error::CliError;
+pub use exit::Exit;
+pub use output::Output;
+
+use clap::{CommandFactory, Parser, Subcommand};
+use std::ffi::OsString;
+use std::io::{BufWriter, IsTerminal, Write};
+
+/// Widest that help is drawn.
+const HELP_COLUMNS_MAX: usize = 100;
+
+/// Finds, shows, times and names the devices of a machine
+#[derive(Debug, Parser)]
+#[command(
+    name = "osap",
+    version,
+    max_term_width = HELP_COLUMNS_MAX,
+    arg_required_else_help = true,
+    infer_long_args = false,
+    after_help = Exit::table(),
+)]
+pub struct Cli {
+    /// Writes data as JSON: one document a line, each with its "schema"
+    #[arg(long, global = true)]
+    json: bool,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Completions(completions::CompletionsArgs),
+    Key(key::KeyArgs),
+    Man(man::ManArgs),
+}
+
+/// The whole definition, for help, completions and man pages.
+#[must_use]
+pub fn definition() -> clap::Command {
+    Cli::command()
+}
+
+/// Runs the process's own command line with its own streams.
+#[must_use]
+pub fn main() -> Exit {
+    let progress = std::io::stderr().is_terminal();
+    // Both take colour out where it goes to no terminal, or where NO_COLOR asks for it.
+    let mut out = BufWriter::new(anstream::stdout().lock());
+    let mut talk = anstream::stderr();
+    run(std::env::args_os(), &mut out, &mut talk, progress)
+}
+
+/// Runs a command line: `arguments` with the program's name first, data to `out`, talk to `talk`, bars where `progress`.
+pub fn run<A: Into<OsString> + Clone>(
+    arguments: impl IntoIterator<Item = A>,
+    out: &mut dyn Write,
+    talk: &mut dyn Write,
+    progress: bool,
+) -> Exit {
+    let cli = match Cli::try_parse_from(arguments) {
+        Ok(cli) => cli,
+        Err(error) => return tell(&error, out, talk),
+    };
+    let mut output = Output::new(out, talk, cli.json, progress);
+    let done = dispatch(&cli.command, &mut output);
+    let done = output.flush().and(done);
+    done.unwrap_or_else(|error| {
+        output.fail(&error);
+        error.exit()
+    })
+}
+
+fn dispatch(command: &Command, output: &mut Output<'_>) -> Result<Exit, CliError> {
+    match command {
+        Command::Completions(args) => completions::run(args, output),
+        Command::Key(args) => key::run(args, output),
+        Command::Man(args) => man::run(args, output),
+    }
+}
+
+/// What clap has to say: help and version are data, the rest is talk.
+fn tell(error: &clap::Error, out: &mut dyn Write, talk: &mut dyn Write) -> Exit {
+    let text = error.render().ansi().to_string();
+    if error.use_stderr() {
+        let _ = write!(talk, "{text}");
+        return Exit::Usage;
+    }
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()).map_err(CliError::from) {
+        Ok(()) => Exit::Ok,
+        Err(error) => error.exit(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_definition_is_sound() {
+        definition().debug_assert();
+    }
+
+    #[test]
+    fn help_is_data_and_a_wrong_option_is_talk() {
+        let (mut out, mut talk) = (Vec::new(), Vec::new());
+        assert_eq!(run(["osap", "--help"], &mut out, &mut talk, false), Exit::Ok);
+        assert!(talk.is_empty() && String::from_utf8(out).unwrap().contains("Exit codes:"));
+        let (mut out, mut talk) = (Vec::new(), Vec::new());
+        assert_eq!(run(["osap", "scan", "--colour"], &mut out, &mut talk, false), Exit::Usage);
+        assert!(out.is_empty() && !talk.is_empty());
+    }
+
+    /// A sink whose reader has gone.
+    struct Gone;
+
+    impl Write for Gone {
+        fn write(&mut self, _: &[u8]) -> std::io::Result<usize> {
+            Err(std::io::ErrorKind::BrokenPipe.into())
+        }
+
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn a_broken_pipe_is_quiet() {
+        for arguments in [&["osap", "--help"][..], &["osap", "completions", "bash"]] {
+            let mut talk = Vec::new();
+            assert_eq!(run(arguments, &mut Gone, &mut talk, false), Exit::Ok);
+            assert_eq!(String::from_utf8(talk).unwrap(), "");
+        }
+    }
+}
