@@ -49,7 +49,9 @@ fn any_act() -> impl Strategy<Value = Act> {
         (bytes(), 0u16..4, 0u8..4, any::<u16>(), bytes()).prop_map(
             |(mut steps, destination, transport, ttl_us, payload)| {
                 steps.truncate(4);
-                steps.iter_mut().for_each(|step| *step = 0x40 | (*step & 3));
+                for step in &mut steps {
+                    *step = 0x40 | (*step & 3);
+                }
                 Act::Packet { steps, destination, transport, ttl_us, payload }
             }
         ),
@@ -103,7 +105,9 @@ impl Bench {
             Act::Packet { steps, destination, transport, ttl_us, payload } => {
                 let mut packet = [0; 400];
                 let mut all = route(&[link(0)]);
-                steps.iter().for_each(|step| all.push(link(step & 3)).expect("short"));
+                for step in steps {
+                    all.push(link(step & 3)).expect("short");
+                }
                 let terminal =
                     Terminal::Port { source: port(5), destination: port(*destination), transport: *transport };
                 let at = emit(&mut packet, *ttl_us, 256, all.as_route(), terminal).expect("fits");

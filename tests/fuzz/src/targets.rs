@@ -254,7 +254,7 @@ impl Target for NodeTarget {
     fn feed(&mut self, bytes: &[u8]) -> Result<(), String> {
         self.inputs += 1;
         self.now_us += 1 + u64::from(bytes.first().copied().unwrap_or(0));
-        let gateway = GatewayIndex::from_low_bits(u8::from(self.inputs % 5 == 0));
+        let gateway = GatewayIndex::from_low_bits(u8::from(self.inputs.is_multiple_of(5)));
         let mut packet = bytes.to_vec();
         self.receive(Arrival::Link(gateway), &mut packet)?;
         let mut packet = bytes.to_vec();
@@ -274,9 +274,9 @@ impl Target for NodeTarget {
             }
         }
         ensure(self.node.free_slots() + self.node.stacked() == 8, || "a slot is neither free nor stacked".into())?;
-        self.work(self.inputs % 3 != 0);
+        self.work(!self.inputs.is_multiple_of(3));
         ensure(self.node.free_slots() + self.node.stacked() == 8, || "a slot was lost while working".into())?;
-        if self.inputs % 1_000 == 0 {
+        if self.inputs.is_multiple_of(1_000) {
             self.now_us += 70_000;
             self.node.run(self.now());
             ensure(self.node.free_slots() == 8, || "a slot did not come home".into())?;

@@ -1,0 +1,43 @@
+//! Benchmarks, each a subcommand of `cargo xtask bench`: figures with their conditions, not tests.
+//!
+//! `runtime`: µs of CPU a message over 0 to 3 links. `overload`: commands beside telemetry at 120 % of a link, in virtual time.
+#![forbid(unsafe_code)]
+
+mod overload;
+mod runtime;
+
+use clap::{Parser, Subcommand};
+
+/// Benchmarks of the project; each prints its conditions.
+#[derive(Parser)]
+struct Args {
+    #[command(subcommand)]
+    bench: Option<Bench>,
+}
+
+#[derive(Subcommand)]
+enum Bench {
+    /// CPU time of a 12-byte message at 0, 1, 2 and 3 links, framing included and without.
+    Runtime {
+        /// Messages in each measurement.
+        #[arg(long, default_value_t = 2_000_000)]
+        messages: u32,
+    },
+    /// Commands beside telemetry at 120 % of a 300 kB/s link: losses and latency against idle.
+    Overload {
+        /// Virtual seconds of each case.
+        #[arg(long, default_value_t = 10)]
+        seconds: u64,
+    },
+}
+
+fn main() {
+    match Args::parse().bench {
+        Some(Bench::Runtime { messages }) => runtime::run(messages),
+        Some(Bench::Overload { seconds }) => overload::run(seconds),
+        None => {
+            runtime::run(2_000_000);
+            overload::run(10);
+        }
+    }
+}
