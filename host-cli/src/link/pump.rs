@@ -426,11 +426,11 @@ impl Writer {
         while let Some(frame) = self.faults.as_mut().and_then(|layer| layer.poll(now)) {
             self.write(&frame)?;
         }
-        while let Some((number, _)) = self.owed.pop_front_if(|(_, at)| *at <= now) {
-            self.sent(number)?;
-        }
         if let Some(layer) = &self.faults {
             note(&self.events.shared, |faults| faults.outgoing = layer.counts());
+        }
+        while let Some((number, _)) = self.owed.pop_front_if(|(_, at)| *at <= now) {
+            self.sent(number)?;
         }
         Ok(())
     }

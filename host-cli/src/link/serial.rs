@@ -12,6 +12,7 @@ use super::{Clock, LinkDescription, LinkError, LinkHandle, Start};
 use osap_protocol::framing::Check;
 use serialport::{SerialPort, SerialPortType, UsbPortInfo};
 use std::io::{self, Read, Write};
+use std::path::Path;
 use std::time::Duration;
 
 /// Between two looks for a device that is not there.
@@ -84,6 +85,10 @@ fn usb_ports(target: &SerialTarget) -> Vec<(String, UsbPortInfo)> {
         SerialTarget::Usb { id, serial } => id_of(info) == *id && (serial.is_none() || *serial == info.serial_number),
         SerialTarget::Path(_) => false,
     };
+    // On a Linux without it, as in some containers, `available_ports` would panic.
+    if cfg!(target_os = "linux") && !Path::new("/sys/class/tty").is_dir() {
+        return Vec::new();
+    }
     let ports = serialport::available_ports().unwrap_or_default();
     ports
         .into_iter()

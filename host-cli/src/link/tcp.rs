@@ -10,6 +10,7 @@ use super::secure::{self, HandshakeError, Role};
 use super::stream::{self, ByteStream, is_wait_over};
 use super::{Clock, Key, LinkError, LinkHandle, Start};
 use osap_protocol::framing::Check;
+use socket2::{SockRef, TcpKeepalive};
 use std::io::{self, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream, ToSocketAddrs};
 use std::time::Duration;
@@ -19,6 +20,13 @@ const CONNECT_MAX: Duration = Duration::from_secs(1);
 /// First wait after a failed connection; it doubles up to the last.
 const BACKOFF_FIRST: Duration = Duration::from_millis(100);
 const BACKOFF_LAST: Duration = Duration::from_secs(2);
+/// When a peer that says nothing is asked whether it is there, how often, and how many answers may fail: a machine that lost its power
+/// does not close its connections, and the listener's one place must not wait a quarter of an hour for the system to notice.
+const KEEPALIVE: TcpKeepalive =
+    TcpKeepalive::new().with_time(Duration::from_secs(5)).with_interval(Duration::from_secs(2)).with_retries(3);
+/// Longest time that bytes may go unanswered or untaken, for the same reason.
+#[cfg(target_os = "linux")]
+const UNANSWERED_MAX: Duration = Duration::from_secs(10);
 /// Between two looks for a peer.
 const ACCEPT_AGAIN: Duration = Duration::from_millis(50);
 
@@ -124,6 +132,10 @@ impl Dialler {
         let mut failed = io::Error::new(io::ErrorKind::NotFound, "the name has no address");
         for address in resolved {
             match TcpStream::connect_timeout(&address, CONNECT_MAX) {
+                // While nobody listens on a port that the system also gives to diallers, a dialler can reach itself.
+                Ok(connection) if connection.local_addr().ok() == connection.peer_addr().ok() => {
+                    failed = io::Error::new(io::ErrorKind::ConnectionRefused, "nobody listens there");
+                }
                 Ok(connection) => return Ok(connection),
                 Err(error) => failed = error,
             }
@@ -184,6 +196,10 @@ impl Tcp {
     fn new(stream: TcpStream) -> io::Result<Self> {
         stream.set_nodelay(true)?;
         stream.set_write_timeout(Some(WAIT_MAX))?;
+        let socket = SockRef::from(&stream);
+        socket.set_tcp_keepalive(&KEEPALIVE)?;
+        #[cfg(target_os = "linux")]
+        socket.set_tcp_user_timeout(Some(UNANSWERED_MAX))?;
         Ok(Self { stream, wait: None })
     }
 
@@ -218,6 +234,17 @@ impl ByteStream for Tcp {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A dead peer is noticed: read back from the system, since nothing else shows it without pulling a plug.
+    #[test]
+    fn a_connection_asks_whether_its_peer_is_there() {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let tcp = Tcp::new(TcpStream::connect(listener.local_addr().unwrap()).unwrap()).unwrap();
+        assert!(SockRef::from(&tcp.stream).keepalive().unwrap());
+        assert!(tcp.stream.nodelay().unwrap());
+        #[cfg(target_os = "linux")]
+        assert_eq!(SockRef::from(&tcp.stream).tcp_user_timeout().unwrap(), Some(UNANSWERED_MAX));
+    }
 
     /// `[LNK-04]`: one address beyond loopback is enough to refuse, also an IPv4 one dressed as IPv6.
     #[test]
