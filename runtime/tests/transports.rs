@@ -215,24 +215,24 @@ fn one_message_at_a_time() {
         };
         b.send(port(USER), to, &[&head, b"data"], us(at)).unwrap();
         let delivery = b.take(port(USER), us(at)).unwrap();
-        let received = receiver.accept(&mut b, delivery, us(at));
+        let verdict = receiver.accept(&mut b, delivery, us(at));
         let answer = b.take(port(USER), us(at)).map(|delivery| {
             let header = SegmentHeader::parse(b.payload(&delivery)).unwrap().0;
             b.release(delivery, None, us(at));
             header
         });
-        (received, answer, b.counters().clone())
+        (verdict, answer, b.counters().clone())
     };
     assert_eq!(data(1, 0, 3, 0).0, Received::Partial);
-    let (received, answer, _) = data(2, 0, 1, 10);
+    let (verdict, answer, _) = data(2, 0, 1, 10);
     assert_eq!(
-        (received, answer),
+        (verdict, answer),
         (Received::Dropped, Some(SegmentHeader::Refuse { message: 2, reason: SegmentRefusal::Busy }))
     );
-    let (received, answer, counters) = data(1, 2, 3, 20);
-    assert_eq!((received, answer), (Received::Dropped, Some(SegmentHeader::Acknowledge { message: 1, next: 1 })));
+    let (verdict, answer, counters) = data(1, 2, 3, 20);
+    assert_eq!((verdict, answer), (Received::Dropped, Some(SegmentHeader::Acknowledge { message: 1, next: 1 })));
     assert_eq!(counters.of(DropCause::SegmentOutOfOrder), 1);
-    let (received, answer, counters) = data(1, 1, 4, 30);
-    assert_eq!((received, answer, counters.of(DropCause::SegmentInvalid)), (Received::Dropped, None, 1));
+    let (verdict, answer, counters) = data(1, 1, 4, 30);
+    assert_eq!((verdict, answer, counters.of(DropCause::SegmentInvalid)), (Received::Dropped, None, 1));
     assert_eq!(data(2, 0, 1, 20 + SEGMENT_IDLE_US).0, Received::Whole);
 }
