@@ -1,7 +1,7 @@
 //! Ingress: a packet that came whole by a gateway is made ours, or dropped under one name.
 //!
 //! - **Walk:** link → *here* → `route` → `stack`. **Context:** the node's; O(route) for nothing, O(stack) for the insertion.
-//! - **Clauses:** `[PKT-02]`, `[PKT-07]`, `[PKT-08]`, `[PKT-10]`, `[PKT-12]`, `[NOD-05]`, `[NOD-08]`, `[TRN-01]`.
+//! - **Clauses:** `[PKT-02]`, `[PKT-07]`, `[PKT-08]`, `[PKT-10]`, `[PKT-12]`, `[PKT-15]`, `[NOD-05]`, `[NOD-08]`, `[TRN-01]`.
 
 use crate::node::Node;
 use crate::pool::{Owner, Tag, Taker};
@@ -10,7 +10,7 @@ use osap_protocol::discovery::Stage;
 use osap_protocol::header::Arrival;
 use osap_protocol::system::SystemKey;
 use osap_protocol::transport::{SegmentHeader, SequencedHeader, Transport};
-use osap_protocol::{DropCause, GatewayIndex, Instruction, Packet};
+use osap_protocol::{BusDrop, DropCause, GatewayIndex, Instruction, Packet};
 
 impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS: usize>
     Node<SLOTS, BYTES, GATEWAYS, PORTS>
@@ -56,6 +56,9 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         let gateway = self.gateways.get(index.at()).ok_or(DropCause::NoSuchGateway)?;
         if !gateway.open {
             return Err(DropCause::GatewayClosed);
+        }
+        if matches!(arrival, Arrival::Bus { from: BusDrop::BROADCAST, .. }) {
+            return Err(DropCause::FrameMalformed); // `[PKT-15]`: nobody's own address, so nobody could be answered
         }
         let (len, wire) = (packet.len(), gateway.config.wire_time(packet.len()));
         let mut view = Packet::check(&mut *packet)?;

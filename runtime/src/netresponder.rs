@@ -8,13 +8,15 @@ use crate::mailbox::{Delivery, Mailbox};
 use crate::node::Node;
 use fixed_math::time::LocalTicks;
 use osap_protocol::discovery::{
-    BODY_BYTES_MAX, Event, Message, Query, Refusal, RuntimeInfo, ScanId, TimeSettings, VERSION, Verbosity, check_query,
-    decode, encode,
+    BODY_BYTES_MAX, Event, Message, NAME_BYTES_MAX, Query, Refusal, RuntimeInfo, ScanId, TimeSettings, VERSION,
+    Verbosity, check_query, decode, encode,
 };
 use osap_protocol::header::PORT_HEADER_BYTES;
 use osap_protocol::transport::{SequencedHeader, SequencedKind};
 use osap_protocol::{DropCause, PortIndex};
 
+/// Longest query: a name, with its length, behind key and version, and room to spare for time settings (6 numbers of 5 bytes).
+const QUERY_BYTES_MAX: usize = 2 + 1 + NAME_BYTES_MAX;
 /// Room for any answer: key, version, body.
 type Answer = [u8; 2 + BODY_BYTES_MAX];
 
@@ -38,20 +40,21 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
             self.release(delivery, Some(cause), now);
             return;
         }
-        let mut query = [0; 64];
+        let mut query = [0; QUERY_BYTES_MAX];
         let payload = self.payload(&delivery);
-        let key = payload[0];
+        let (key, len) = (payload[0], payload.len());
         let room = self.room_for_answer(&delivery);
-        let asked = match query.get_mut(..payload.len()) {
+        let mut out: Answer = [0; _];
+        // longer than any query: its body cannot decode
+        let served = match query.get_mut(..len) {
             Some(place) => {
                 place.copy_from_slice(payload);
-                &query[..payload.len()]
+                decode(place).and_then(|message| self.serve(message, now, &mut out[..room]))
             }
-            None => &[key, VERSION][..], // longer than any query: its body will not decode
+            None => Err(Refusal::Body),
         };
-        let mut out: Answer = [0; _];
         // an answer is counted where it fails, so nothing is lost silently
-        let _counted = match decode(asked).and_then(|message| self.serve(message, now, &mut out[..room])) {
+        let _counted = match served {
             Ok(len) => self.reply(delivery, &[&out[..len]], now),
             Err(refusal) => self.refuse(delivery, &[&[key, VERSION, refusal.code()]], now),
         };

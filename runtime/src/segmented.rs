@@ -76,7 +76,8 @@ pub struct Sender {
 }
 
 impl Sender {
-    /// Prepares a message of `len` bytes, numbered `message`, from `port`.
+    /// Prepares a message of `len` bytes, numbered `message`, from `port`. The number differs from that of the message before: the receiver
+    /// tells a repeated segment from a new message by it.
     ///
     /// # Errors
     /// [`MessageError`].
@@ -255,8 +256,9 @@ impl<const BYTES: usize> Receiver<BYTES> {
         };
         let back = Route::check(node.taken_steps(&delivery)).map(RouteBuf::from).unwrap_or_default();
         let source = Source { back, port: delivery.source, message };
-        let same = self.source.as_ref() == Some(&source);
         let idle = now.since(self.heard) >= Span::from_us(SEGMENT_IDLE_US);
+        // a message already whole is only repeated while its last acknowledgement may have been lost; later it is a new one of the same number
+        let same = self.source.as_ref() == Some(&source) && (self.in_progress() || !idle);
         if !same && self.in_progress() && !idle {
             return refuse(node, delivery, message, SegmentRefusal::Busy, now);
         }

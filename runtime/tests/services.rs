@@ -57,7 +57,9 @@ fn bad_queries_are_refused_with_a_reason() {
     long_name.extend([b'x'; 33]);
     assert_eq!(refused(&mut a, &long_name), Refusal::Body.code());
     assert_eq!(refused(&mut a, &[4, VERSION, 2, 0xff, 0xfe]), Refusal::Body.code());
-    assert_eq!(refused(&mut a, &[7; 100]), Refusal::Body.code());
+    let mut longer_than_any = vec![3, VERSION];
+    longer_than_any.resize(100, 0);
+    assert_eq!(refused(&mut a, &longer_than_any), Refusal::Body.code());
     let settings = TimeSettings { interval_us: 1, ..osap_runtime::clock::DEFAULT_SETTINGS };
     assert_eq!(ask::<_, ()>(&mut a, Query::SetTimeControl, &settings, now), Err(Refusal::Range.code()));
     assert_eq!(a.name(), "node4");
@@ -239,6 +241,15 @@ fn a_bus_carries_broadcasts_and_unicast_replies() {
         assert_eq!(a.taken_steps(&delivery), [0x80, drop]);
         assert!(read(&mut a, delivery, now).ends_with(if drop == 20 { b"node2" } else { b"node3" }));
     }
+}
+
+/// `[PKT-15]`: a frame that says it comes from everybody could not be answered.
+#[test]
+fn nobody_sends_from_the_broadcast_address() {
+    let mut a = node(1, &[GatewayConfig { kind: GatewayKind::Bus { drop: 10 }, ..FAST }]);
+    let mut packet = [5, 0xff, 0xff, 64, 0, 0x80, 10, 0xc0, 0, 1, 0];
+    let arrival = Arrival::Bus { gateway: gateway(0), from: BusDrop::BROADCAST };
+    assert_eq!(a.receive(arrival, &mut packet, us(1), us(1)), Err(DropCause::FrameMalformed));
 }
 
 /// `[SYS-06]`: who comes to a bus says so once, and nobody answers.

@@ -234,5 +234,9 @@ fn one_message_at_a_time() {
     assert_eq!(counters.of(DropCause::SegmentOutOfOrder), 1);
     let (verdict, answer, counters) = data(1, 1, 4, 30);
     assert_eq!((verdict, answer, counters.of(DropCause::SegmentInvalid)), (Received::Dropped, None, 1));
-    assert_eq!(data(2, 0, 1, 20 + SEGMENT_IDLE_US).0, Received::Whole);
+    assert_eq!(data(2, 0, 1, 20 + SEGMENT_IDLE_US).0, Received::Whole); // its last acknowledgement may have been lost: repeated, it is acknowledged again and not delivered twice
+    let (verdict, answer, _) = data(2, 0, 1, 30 + SEGMENT_IDLE_US);
+    assert_eq!((verdict, answer), (Received::Dropped, Some(SegmentHeader::Acknowledge { message: 2, next: 1 })));
+    // long after, the same number is a new message
+    assert_eq!(data(2, 0, 1, 30 + 2 * SEGMENT_IDLE_US).0, Received::Whole);
 }
