@@ -17,6 +17,7 @@ pub mod netresponder;
 pub mod node;
 pub mod pool;
 pub mod port;
+pub mod ring;
 pub mod route;
 pub mod segmented;
 pub mod sequenced;

@@ -4,8 +4,10 @@ mod common;
 
 use common::{BYTES, FAST, SLOTS, TestNode, UART, USER, carry, datagram, gateway, link, node, port, read, us};
 use osap_protocol::discovery::GatewayKind;
+use osap_protocol::framing::{Check, Deframer, encode};
 use osap_protocol::header::Arrival;
 use osap_protocol::{BusDrop, DropCause, Packet};
+use osap_runtime::ring::RxRing;
 use osap_runtime::{GatewayConfig, Mailbox, SendError};
 
 /// Three nodes in a line, 0 –(0:0)– 1 –(1:0)– 2.
@@ -270,4 +272,29 @@ fn a_reply_has_exactly_its_length_or_none() {
         }
         assert_eq!(a.free_slots(), SLOTS);
     }
+}
+
+/// `[NOD-08]`: an earlier implementation walked the list of packets inside the interrupt. Here a frame that has come whole is still nothing to
+/// the node, whose stack is full, until the node's own context takes it over.
+#[test]
+fn an_interrupt_leaves_the_stack_alone() {
+    let [mut a, ..] = line(UART);
+    for ttl_us in [4000, 3000, 2000, 1000] {
+        datagram(&mut a, &[link(0)], USER, ttl_us, b"waits", us(0)).unwrap();
+    }
+    let mut ring = RxRing::<64, 4>::new();
+    let (mut interrupt, mut task) = ring.split();
+    let packet = [5, 0x10, 0x00, 64, 0, 0x40, 0xc0, 0x28, USER.to_le_bytes()[0], 0, 7];
+    let mut frame = [0; 32];
+    let len = encode(&packet, Check::Crc16, &mut frame).unwrap();
+    for byte in &frame[..len] {
+        interrupt.push(*byte, us(1));
+        assert_eq!((a.stacked(), a.free_slots()), (4, SLOTS - 4));
+    }
+    let mut deframer = Deframer::<64>::new(Check::Crc16);
+    task.drain(&mut deframer, |frame| {
+        let frame = frame.unwrap();
+        assert_eq!(a.receive(Arrival::Link(gateway(0)), frame.packet, frame.started, us(2)), Ok(()));
+    });
+    assert_eq!(a.stacked(), 5);
 }
