@@ -1,0 +1,140 @@
+//! The echo port: sends back what comes, in the transport it came in.
+//!
+//! - **Walk:** stack → *here* → a reply in the same slot, or for a message its segments, one window at a time.
+//! - **Invariants:** one message is received at a time and one is sent back; who comes in between is told that it is busy.
+//! - **Context:** the serving task; O(packet), and O(window) where a message goes back. **Clauses:** `[APP-02]` to `[APP-04]`.
+
+use fixed_math::time::LocalTicks;
+use osap_protocol::header::way_back;
+use osap_protocol::transport::{SegmentHeader, SegmentRefusal, SequencedKind, Transport};
+use osap_protocol::{DropCause, PortIndex, Route, RouteBuf};
+use osap_runtime::segmented::{Progress, Received, Receiver, Sender};
+use osap_runtime::{Delivery, Mailbox, Outbound};
+
+/// Time to live of the segments of a message that goes back, µs, `[APP-04]`.
+pub const ECHO_TTL_US: u16 = 50_000;
+
+/// Who sent the message that goes back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Asker {
+    port: PortIndex,
+    message: u8,
+}
+
+/// The echo service, for messages of up to `MESSAGE_BYTES` bytes.
+#[derive(Debug)]
+pub struct Echo<const MESSAGE_BYTES: usize> {
+    receiver: Receiver<MESSAGE_BYTES>,
+    /// The message that goes back: the receiver's buffer is free for the next one.
+    outbox: heapless::Vec<u8, MESSAGE_BYTES>,
+    sending: Option<(Asker, Sender)>,
+}
+
+impl<const MESSAGE_BYTES: usize> Echo<MESSAGE_BYTES> {
+    /// Nothing under way.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self { receiver: Receiver::new(), outbox: heapless::Vec::new(), sending: None }
+    }
+
+    /// Answers one packet. `scratch` holds the longest packet.
+    pub fn accept(&mut self, node: &mut impl Mailbox, delivery: Delivery, scratch: &mut [u8], now: LocalTicks) {
+        match (delivery.transport, delivery.sequenced.map(|header| header.kind)) {
+            (Transport::Segmented, _) => {
+                let packet_bytes_max = u16::try_from(scratch.len()).unwrap_or(u16::MAX);
+                self.accept_segment(node, delivery, packet_bytes_max, now);
+            }
+            (_, Some(SequencedKind::Reply | SequencedKind::Refusal)) => {
+                node.release(delivery, Some(DropCause::ReplyUnmatched), now);
+            }
+            (Transport::Datagram | Transport::Sequenced, _) => {
+                let payload = node.payload(&delivery);
+                let Some(copy) = scratch.get_mut(..payload.len()) else {
+                    node.release(delivery, Some(DropCause::PortRefused), now);
+                    return;
+                };
+                copy.copy_from_slice(payload);
+                // an answer that does not get away is counted by the node
+                let _counted = node.reply(delivery, &[copy], now);
+            }
+        }
+    }
+
+    /// Sends on what a message under way lets through.
+    pub fn poll(&mut self, node: &mut impl Mailbox, now: LocalTicks) {
+        if let Some((_, sender)) = &mut self.sending
+            && !matches!(sender.poll(node, &self.outbox, now), Progress::Sending { .. })
+        {
+            self.sending = None;
+        }
+    }
+
+    /// When [`Echo::poll`] has something to do even if nothing comes.
+    #[must_use]
+    pub fn next_wake(&self) -> Option<LocalTicks> {
+        self.sending.as_ref().map(|(_, sender)| sender.next_wake())
+    }
+
+    fn accept_segment(&mut self, node: &mut impl Mailbox, delivery: Delivery, packet_bytes_max: u16, now: LocalTicks) {
+        let header = SegmentHeader::parse(node.payload(&delivery)).map(|(header, _)| header);
+        if let (Ok(SegmentHeader::Data { message, .. }), Some((asker, _))) = (header, &self.sending)
+            && *asker != (Asker { port: delivery.source, message })
+        {
+            let mut out = [0; SegmentHeader::LEN_MAX];
+            let len = SegmentHeader::Refuse { message, reason: SegmentRefusal::Busy }.encode(&mut out);
+            let _counted = node.reply(delivery, &[&out[..len]], now);
+            return;
+        }
+        let (port, source) = (delivery.port, delivery.source);
+        // a sender may name a larger packet size than this node's own packets have
+        let mtu_bytes = delivery.mtu_bytes.min(packet_bytes_max);
+        let back = route_back(node, &delivery);
+        match self.receiver.accept(node, delivery, now) {
+            Received::Whole => {
+                let Ok(SegmentHeader::Data { message, .. }) = header else { return };
+                let to = Outbound {
+                    route: back.as_route(),
+                    mtu_bytes,
+                    ttl_us: ECHO_TTL_US,
+                    destination: source,
+                    transport: Transport::Segmented,
+                };
+                self.send_back(Asker { port: source, message }, port, &to, now);
+            }
+            Received::ForSender(header) => {
+                if !self.sending.as_mut().is_some_and(|(_, sender)| sender.accept(header, now)) {
+                    node.count_drop(DropCause::ReplyUnmatched, now);
+                }
+            }
+            Received::Partial | Received::Dropped => {}
+        }
+    }
+
+    fn send_back(&mut self, asker: Asker, port: PortIndex, to: &Outbound<'_>, now: LocalTicks) {
+        self.outbox.clear();
+        // as long as the receiver's own buffer, so it always fits
+        let fits = self.outbox.extend_from_slice(self.receiver.message());
+        debug_assert!(fits.is_ok());
+        // what came in segments by this route's packets can go back by them
+        let sender = Sender::new(port, to, asker.message, self.outbox.len(), now);
+        self.sending = sender.ok().map(|sender| (asker, sender));
+    }
+}
+
+impl<const MESSAGE_BYTES: usize> Default for Echo<MESSAGE_BYTES> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// The route from here to a delivery's sender, to be kept after the delivery has gone.
+pub(crate) fn route_back(node: &impl Mailbox, delivery: &Delivery) -> RouteBuf {
+    let taken = Route::check(node.taken_steps(delivery)).unwrap_or(Route::LOCAL);
+    let mut back = RouteBuf::new();
+    for step in way_back(taken) {
+        // as long as the way here, which fitted
+        let fits = back.push(step);
+        debug_assert!(fits.is_ok());
+    }
+    back
+}
