@@ -1,0 +1,139 @@
+//! One message longer than a packet, sent to a port that sends one back.
+//!
+//! - **Walk:** [`HostCore::start_message`] → segments out, acknowledgements in → segments of the answer in → [`MessageOutcome`].
+//! - **Invariants:** one message at a time; it ends once, at the latest at its deadline, however little comes.
+//! - **Context:** the host's node. **Clauses:** `[TRN-07]` to `[TRN-10]`.
+
+use super::{HostCore, outbound};
+use fixed_math::time::{LocalTicks, Span};
+use osap_protocol::transport::{SegmentRefusal, Transport};
+use osap_runtime::segmented::{MessageError, Progress, Received, Receiver, Sender};
+use osap_runtime::sequenced::Destination;
+use osap_runtime::{Delivery, Mailbox};
+
+/// Longest message the host takes, bytes.
+pub const MESSAGE_BYTES_MAX: usize = 64 << 10;
+
+/// What came of a message.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum MessageOutcome {
+    /// It arrived, and this came back.
+    Answered {
+        /// The answer.
+        message: Vec<u8>,
+        /// From the start of the one to the end of the other.
+        round_trip: Span,
+    },
+    /// The receiver would not take it.
+    Refused(SegmentRefusal),
+    /// Nothing moved for all tries.
+    Stuck {
+        /// Segments acknowledged.
+        done: u16,
+        /// Segments in all.
+        count: u16,
+    },
+    /// It arrived; nothing came back in time.
+    NoAnswer,
+}
+
+#[derive(Debug)]
+struct Active {
+    sender: Sender,
+    message: Vec<u8>,
+    started: LocalTicks,
+    deadline: LocalTicks,
+}
+
+/// The message under way, if any, and what comes back.
+#[derive(Debug)]
+pub(super) struct Exchange {
+    active: Option<Active>,
+    receiver: Box<Receiver<MESSAGE_BYTES_MAX>>,
+    outcome: Option<MessageOutcome>,
+    /// Number of the next message, so that a late acknowledgement of the one before counts for nothing.
+    number: u8,
+}
+
+impl Default for Exchange {
+    fn default() -> Self {
+        Self { active: None, receiver: Box::default(), outcome: None, number: 0 }
+    }
+}
+
+impl Exchange {
+    pub(super) fn next_wake(&self) -> Option<LocalTicks> {
+        let active = self.active.as_ref()?;
+        match active.sender.progress() {
+            Progress::Sending { .. } => Some(active.sender.next_wake().min(active.deadline)),
+            _ => Some(active.deadline),
+        }
+    }
+
+    /// Sends what the window lets through; tells whether the message ended by it.
+    pub(super) fn run(&mut self, node: &mut impl Mailbox, now: LocalTicks) -> bool {
+        let Some(active) = &mut self.active else { return false };
+        let outcome = match active.sender.poll(node, &active.message, now) {
+            Progress::Refused(reason) => MessageOutcome::Refused(reason),
+            Progress::Failed { done, count } => MessageOutcome::Stuck { done, count },
+            Progress::Sending { done, count } if active.deadline <= now => MessageOutcome::Stuck { done, count },
+            Progress::Done if active.deadline <= now => MessageOutcome::NoAnswer,
+            Progress::Sending { .. } | Progress::Done => return false,
+        };
+        self.end(outcome);
+        true
+    }
+
+    /// Takes a segmented packet.
+    pub(super) fn accept(&mut self, node: &mut impl Mailbox, delivery: Delivery, now: LocalTicks) {
+        let arrived = delivery.arrived;
+        match self.receiver.accept(node, delivery, now) {
+            Received::ForSender(header) => {
+                if let Some(active) = &mut self.active {
+                    active.sender.accept(header, now);
+                }
+            }
+            Received::Whole => {
+                if let Some(active) = &self.active {
+                    let round_trip = arrived.since(active.started);
+                    let message = self.receiver.message().to_vec();
+                    self.end(MessageOutcome::Answered { message, round_trip });
+                }
+            }
+            Received::Partial | Received::Dropped => {}
+        }
+    }
+
+    fn end(&mut self, outcome: MessageOutcome) {
+        self.active = None;
+        self.outcome = Some(outcome);
+    }
+}
+
+impl HostCore {
+    /// Starts a message from the stream port; another one that is under way is given up.
+    ///
+    /// # Errors
+    /// [`MessageError`].
+    pub fn start_message(
+        &mut self,
+        to: &Destination,
+        message: &[u8],
+        within: Span,
+        now: LocalTicks,
+    ) -> Result<(), MessageError> {
+        let exchange = &mut self.exchange;
+        let outbound = outbound(to, Transport::Segmented);
+        let sender = Sender::new(self.stream, &outbound, exchange.number, message.len(), now)?;
+        exchange.number = exchange.number.wrapping_add(1);
+        exchange.outcome = None;
+        exchange.active = Some(Active { sender, message: message.to_vec(), started: now, deadline: now + within });
+        self.run(now);
+        Ok(())
+    }
+
+    /// What came of the message, once it has ended.
+    pub fn take_message_outcome(&mut self) -> Option<MessageOutcome> {
+        self.exchange.outcome.take()
+    }
+}
