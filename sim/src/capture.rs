@@ -32,8 +32,16 @@ const NANOSECONDS: u8 = 9;
 /// `epb_flags`, bits 0 and 1.
 const INBOUND: u32 = 0b01;
 const OUTBOUND: u32 = 0b10;
-/// `epb_flags`, bit 24: the frame's check was wrong.
-const CHECK_ERROR: u32 = 1 << 24;
+
+/// `epb_flags`, bits 24 to 31: why a frame gave no packet. What has no bit of its own is a symbol error.
+const fn error_flag(cause: DropCause) -> u32 {
+    match cause {
+        DropCause::FrameCheck => 1 << 24,
+        DropCause::FrameTooLong => 1 << 25,
+        DropCause::FrameTooShort => 1 << 26,
+        _ => 1 << 31,
+    }
+}
 
 /// The capture could not be written.
 #[derive(Debug, Error)]
@@ -123,8 +131,7 @@ impl<W: Write> Capture<W> {
         self.write(interface, at, bytes, vec![EnhancedPacketOption::Flags(direction.flags())])
     }
 
-    /// Writes a frame that gave no packet: its bytes as they came, and the name of its drop as a comment. One that failed its check
-    /// is marked so.
+    /// Writes a frame that gave no packet: its bytes as they came, marked as an error, with the name of its drop as a comment.
     ///
     /// # Errors
     /// As [`Capture::packet`].
@@ -135,11 +142,10 @@ impl<W: Write> Capture<W> {
         cause: DropCause,
         bytes: &[u8],
     ) -> Result<(), CaptureError> {
-        let mark = if cause == DropCause::FrameCheck { CHECK_ERROR } else { 0 };
         let comment = format!("{}: {}", cause.name(), cause.meaning());
         let options = vec![
             EnhancedPacketOption::Comment(Cow::Owned(comment)),
-            EnhancedPacketOption::Flags(Direction::Received.flags() | mark),
+            EnhancedPacketOption::Flags(Direction::Received.flags() | error_flag(cause)),
         ];
         self.write(interface, at, bytes, options)
     }
