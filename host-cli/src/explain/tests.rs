@@ -306,6 +306,38 @@ fn the_bodies_are_whole_before_they_are_damaged() {
     }
 }
 
+/// Bounds lie where chance does not find them: at each, the last value that fits and the first that does not.
+#[test]
+fn both_readers_stop_at_the_same_bounds() {
+    let text = |len: u8| [&[len], &vec![b'x'; usize::from(len)][..]].concat();
+    let events = |event: &[u8], count: u8| [&[0, 0, 0, 0, count], &event.repeat(usize::from(count))[..]].concat();
+    let counters = |count: u8| [&[0, 30, count], &vec![1; usize::from(count)][..]].concat();
+    let said = |len: u8| events(&[&[1, 5], &text(len)[..]].concat(), 1);
+    let after = |head: &[u8], number: &str| [head, &parse_hex(number).unwrap()].concat();
+    let link = |rate: &str| [&text(4)[..], &[0, 1, 64], &after(&[], rate), &[10, 1, 0, 4, 0, 0, 0]].concat();
+    for (query, is_request, fits, does_not) in [
+        (Query::SetRuntimeName, true, text(32), text(33)),
+        (Query::TypeName, false, text(32), text(33)),
+        (Query::RuntimeInfo, true, after(&[1], "ff ff 03"), after(&[1], "80 80 04")),
+        (Query::RuntimeInfo, true, after(&[], "ff ff ff ff 0f 01"), after(&[], "80 80 80 80 10 01")),
+        (Query::PortInfo, true, after(&[], "ff ff 03"), after(&[], "ff ff 83 00")),
+        (Query::DebugMessages, true, after(&[], "ff ff ff ff 0f"), after(&[], "ff ff ff ff 8f 00")),
+        (Query::DebugMessages, false, events(&[1, 3], 4), events(&[1, 3], 5)),
+        (Query::DebugMessages, false, said(40), said(41)),
+        (Query::DebugMessages, false, events(&[1, 0, 29, 0], 1), events(&[1, 0, 30, 0], 1)),
+        (Query::DebugMessages, false, events(&[1, 4, 5, 0], 1), events(&[1, 4, 6, 0], 1)),
+        (Query::LinkInfo, false, link("ff ff ff ff 0f"), link("ff ff ff ff 1f")),
+        (Query::SetDebugVerbosity, true, vec![3], vec![4]),
+        (Query::SetTimeControl, true, vec![1; 6], [vec![1; 5], vec![255; 5]].concat()),
+        (Query::Counters, false, counters(16), counters(17)),
+    ] {
+        for (body, whole) in [(fits, true), (does_not, false)] {
+            let both = (node_reads(query, is_request, &body), is_shown_whole(query, is_request, &body));
+            assert_eq!(both, (whole, whole), "{query:?} {body:02x?}");
+        }
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(2000))]
 
