@@ -6,7 +6,7 @@
 
 use fixed_math::time::Span;
 
-/// Frames that each gateway's ring holds until the processor is free; more are `rx-overrun`.
+/// Frames that each gateway's ring holds, the one in work included; more are `rx-overrun`.
 pub const RING_FRAMES: usize = 8;
 
 /// A processor, as service times a packet.

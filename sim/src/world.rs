@@ -500,7 +500,8 @@ impl World {
         }
         let local = station.clock.local(self.now);
         station.endpoint.set_open(gateway, open, local);
-        self.poke(node);
+        // at the next step, so that a builder can still tap what it wires
+        self.wake_now(node);
     }
 
     /// Another endpoint in a node's place: what was under way in the old one is lost.

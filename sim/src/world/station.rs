@@ -1,7 +1,8 @@
 //! A node's place in the world: its processor, its ring of captured frames, its gateways' wires.
 //!
 //! - **Walk:** captured → ring → job → the endpoint → its gateways.
-//! - **Invariants:** one job at a time. What is ready to leave goes first (it frees memory), then what came in, then ports.
+//! - **Invariants:** one job at a time. What is ready to leave goes first (it frees memory); frames that came in and packets for ports
+//!   take turns, so that neither starves the other.
 //! - **Context:** the thread that steps the world. **Clauses:** `[NOD-06]`, `[NOD-08]`, `[FRM-07]`, `[FRM-08]`.
 
 use super::flights::{Flight, Over};
@@ -107,6 +108,8 @@ pub(super) struct Station {
     ran_at: Option<TrueTime>,
     /// Which gate may send next: they take turns.
     turn: usize,
+    /// The last job was for ports: a frame that came in is next.
+    handled_last: bool,
     debug_cursor: u32,
 }
 
@@ -127,6 +130,7 @@ impl Station {
             wake_at: TrueTime::MAX,
             ran_at: None,
             turn: 0,
+            handled_last: false,
             debug_cursor: 0,
         }
     }
@@ -141,6 +145,23 @@ impl Station {
         (0..count).map(|n| (self.turn + n) % count).find(|at| {
             let gate = &self.gates[*at];
             !gate.busy && self.endpoint.has_output(gate.index, local)
+        })
+    }
+
+    /// What the processor does next, and how long that takes.
+    fn next_job(&mut self, now: TrueTime, local: LocalTicks) -> Option<(Job, Span)> {
+        if let Some(gate) = self.next_output(local) {
+            return Some((Job::Forward { gate }, self.processor.forward));
+        }
+        let waiting = self.endpoint.waiting(local);
+        let takes_turn = waiting > 0 && !self.handled_last;
+        if !takes_turn && let Some(flight) = self.ring.pop_front() {
+            return Some((Job::Receive { flight }, self.processor.receive));
+        }
+        let due = waiting > 0 || self.endpoint.next_wake().is_some_and(|wake| wake <= local);
+        (due && self.ran_at != Some(now)).then(|| {
+            let takes = self.processor.handle.saturating_mul(waiting as u64);
+            (Job::Handle, takes)
         })
     }
 
@@ -182,20 +203,11 @@ impl World {
                 return;
             }
             let local = station.clock.local(now);
-            let (job, takes) = if let Some(gate) = station.next_output(local) {
-                (Job::Forward { gate }, station.processor.forward)
-            } else if let Some(flight) = station.ring.pop_front() {
-                (Job::Receive { flight }, station.processor.receive)
-            } else {
-                let waiting = station.endpoint.waiting(local);
-                let wake = station.endpoint.next_wake();
-                let due = waiting > 0 || wake.is_some_and(|wake| wake <= local);
-                if !due || station.ran_at == Some(now) {
-                    self.plan_wake(node, wake, waiting > 0);
-                    return;
-                }
-                (Job::Handle, station.processor.handle.saturating_mul(waiting as u64))
+            let Some((job, takes)) = station.next_job(now, local) else {
+                self.plan_wake(node, local);
+                return;
             };
+            station.handled_last = job == Job::Handle;
             station.job = Some(job);
             if let Job::Receive { flight } = job {
                 let Flight { gateway, quiet, .. } = *self.flights.get(flight);
@@ -312,22 +324,31 @@ impl World {
     }
 
     /// Plans the wake of a node that has nothing to do now. One that left packets undone is asked again a step later.
-    fn plan_wake(&mut self, node: NodeId, wake: Option<LocalTicks>, undone: bool) {
+    fn plan_wake(&mut self, node: NodeId, local: LocalTicks) {
+        let station = &self.stations[node.at()];
+        if station.endpoint.waiting(local) > 0 {
+            self.wake_at(node, self.now + Span::from_steps(1));
+        } else if let Some(wake) = station.endpoint.next_wake()
+            && wake > local
+        {
+            // what was due and is not done waits for a gateway; the gateway will ask
+            self.wake_at(node, station.clock.truth(wake));
+        }
+    }
+
+    /// Plans a wake, unless an earlier one is planned: that will find nothing, and plan this one.
+    fn wake_at(&mut self, node: NodeId, at: TrueTime) {
         let station = &mut self.stations[node.at()];
-        let at = if undone {
-            self.now + Span::from_steps(1)
-        } else {
-            match wake.map(|wake| station.clock.truth(wake)) {
-                // what was due and is not done waits for a gateway; the gateway will ask
-                Some(at) if at > self.now => at,
-                _ => return,
-            }
-        };
-        // an earlier wake that is planned already will find nothing, and plan this one
         if at < station.wake_at {
             station.wake_at = at;
             self.queue.plan(at, What::Wake { node });
         }
+    }
+
+    /// Lets a node look after itself at this instant, but not within this call.
+    pub(super) fn wake_now(&mut self, node: NodeId) {
+        self.stations[node.at()].ran_at = None;
+        self.wake_at(node, self.now);
     }
 
     /// Writes a stage down, where a walk is recorded and it is a packet's.
