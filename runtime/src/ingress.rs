@@ -79,6 +79,10 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         let view = Packet::check(&*packet)?;
         if let Instruction::System(key) = view.instruction() {
             return match SystemKey::from_key(key) {
+                // one step and no more, `[SYS-02]`: what was forwarded here tells nothing of who is at the other end of this link
+                Some(SystemKey::Announcement) if view.taken().len() > Instruction::width(view.taken()[0]) => {
+                    Err(DropCause::SystemMalformed)
+                }
                 Some(SystemKey::Announcement) => {
                     self.hear_announcement(arrival, sent_by, &packet[view.after_instruction()..], now)
                 }

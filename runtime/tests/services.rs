@@ -7,8 +7,8 @@ use osap_protocol::discovery::{
     CounterPage, DebugPage, Event, GatewayKind, LinkInfo, Name, NeighbourChange, PortInfo, Query, Refusal, RuntimeInfo,
     ScanId, TIER_FREE_RUNNING, TimeControl, TimeSettings, UniqueId, VERSION, Verbosity,
 };
-use osap_protocol::header::Arrival;
-use osap_protocol::system::NEIGHBOUR_TIMEOUT_US;
+use osap_protocol::header::{Arrival, Terminal, emit};
+use osap_protocol::system::{ANNOUNCEMENT_VERSION, Announcement, NEIGHBOUR_TIMEOUT_US, SystemKey};
 use osap_protocol::transport::Transport;
 use osap_protocol::{BusDrop, DropCause, PortIndex, RouteBuf};
 use osap_runtime::{GatewayConfig, Identity, Mailbox, Outbound};
@@ -183,6 +183,30 @@ fn neighbours_come_and_go_as_events() {
     a.run(us(silent_at + 1));
     assert_eq!(a.take_neighbour_change(), Some((gateway(0), NeighbourChange::Lost)));
     assert_eq!(a.gateway(gateway(0)).unwrap().neighbour(), None);
+}
+
+/// `[SYS-02]`: an announcement that came by more than one step is somebody else's neighbour's.
+#[test]
+fn a_forwarded_announcement_is_not_believed() {
+    let mut a = node(1, &[UART]);
+    let announcement = Announcement {
+        version: ANNOUNCEMENT_VERSION,
+        unique_id: UniqueId([9; 12]),
+        boot_epoch: 1,
+        wants_answer: true,
+        drop: None,
+    };
+    for (steps, expected) in [(1, Ok(())), (2, Err(DropCause::SystemMalformed))] {
+        let mut packet = [0; 64];
+        let route = common::route(&vec![common::link(0); steps]);
+        let terminal = Terminal::System { key: SystemKey::Announcement.key() };
+        let at = emit(&mut packet, 1000, 64, route.as_route(), terminal).unwrap();
+        let len = at + announcement.encode(&mut packet[at..]).unwrap();
+        packet[0] += u8::try_from(steps - 1).unwrap(); // as it stands after the steps before
+        assert_eq!(a.receive(Arrival::Link(gateway(0)), &mut packet[..len], us(1), us(1)), expected);
+        assert!(a.gateway(gateway(0)).unwrap().neighbour().is_some());
+    }
+    assert_eq!(a.topology_generation(), 1);
 }
 
 /// `[SYS-04]`: a gateway that closes loses its neighbour at once.
