@@ -28,10 +28,14 @@ pub struct GatewayConfig {
 }
 
 impl GatewayConfig {
-    /// Time a packet of `packet_len` bytes takes on the wire, framing included; zero where the rate is unknown.
+    /// Time a packet of `packet_len` bytes takes on the wire, framing and a bus's addresses included; zero where the rate is unknown.
     #[must_use]
     pub fn wire_time(&self, packet_len: usize) -> Span {
-        wire_time(encoded_len_max(packet_len, self.check), self.bits_a_byte, self.bit_rate)
+        let addresses = match self.kind {
+            GatewayKind::Link => 0,
+            GatewayKind::Bus { .. } => 2, // destination and source drop, `[FRM-10]`
+        };
+        wire_time(encoded_len_max(packet_len + addresses, self.check), self.bits_a_byte, self.bit_rate)
     }
 }
 
