@@ -3,19 +3,24 @@
 mod common;
 
 use common::{Probe, add_probe, assert_all_slots_home, gateway, over, probe, us, with_probe};
+use fixed_math::time::LocalTicks;
 use osap_protocol::DropCause;
 use osap_protocol::framing::{Check, decode, encode};
 use osap_runtime::GatewayConfig;
 use osap_sim::faults::{FaultConfig, FaultLayer};
 use osap_sim::machines::UART;
 use osap_sim::world::{LinkId, LinkModel, NodeId, World};
-use fixed_math::time::LocalTicks;
 use std::sync::{Arc, Mutex};
 
 const UART_32: GatewayConfig = GatewayConfig { check: Check::Crc32, ..UART };
 
 /// Two probes on one link; sends `count` numbered datagrams from the first to the second, one a millisecond.
-fn send_numbered(seed: u64, config: GatewayConfig, faults: &str, count: u32) -> (World, NodeId, NodeId, LinkId, Vec<Vec<u8>>) {
+fn send_numbered(
+    seed: u64,
+    config: GatewayConfig,
+    faults: &str,
+    count: u32,
+) -> (World, NodeId, NodeId, LinkId, Vec<Vec<u8>>) {
     let mut world = World::new(seed);
     let a = add_probe(&mut world, &[config]);
     let b = add_probe(&mut world, &[config]);

@@ -4,14 +4,17 @@ mod common;
 
 use common::{add_probe, assert_all_slots_home, gateway, over, probe, query, us, with_probe};
 use firmware_app::kind;
-use fixed_math::time::Span;
-use osap_protocol::Packet;
+use fixed_math::time::LocalTicks;
 use osap_protocol::discovery::Query;
+use osap_protocol::{BusDrop, Packet, RouteBuf, Step};
 use osap_runtime::GatewayConfig;
-use osap_sim::machines::{UART, add_device};
+use osap_runtime::sequenced::Destination;
+use osap_sim::capture::{Capture, Direction};
+use osap_sim::machines::shapes::bus_gateway;
+use osap_sim::machines::{UART, USB_HIGH_SPEED, add_device};
 use osap_sim::processor::Processor;
 use osap_sim::time::{ClockModel, TrueTime};
-use osap_sim::world::{LinkModel, World};
+use osap_sim::world::{BusModel, LinkModel, World};
 use std::sync::{Arc, Mutex};
 
 const SLOW: Processor = Processor { name: "slow", clock_hz: 0, receive: us(30), handle: us(50), forward: us(20) };
@@ -51,9 +54,9 @@ fn seventy_six_bytes_take_266_67_microseconds() {
     world.run_for(us(10_000));
     let sent_at = world.now();
     with_probe(&mut world, host, |it, now| it.datagram(&over(&[0], 1, 20_000), &[0; 66], now).unwrap()); // 9 + 1 + 66
-    let before = world.link_stats(link)[0];
-    assert_eq!(before.bytes % 80, world.link_stats(link)[0].bytes % 80);
+    let bytes_before = world.link_stats(link)[0].bytes - 80;
     world.run_for(us(1_000));
+    assert_eq!(world.link_stats(link)[0].bytes, bytes_before + 80);
     let (arrived, _) = probe(&world, other).datagrams[0];
     assert_eq!(arrived.steps(), sent_at.steps() + wire.steps());
 }
@@ -132,5 +135,67 @@ fn residence_is_measured_by_the_nodes_own_clock() {
     // but the node takes the nominal 120 µs off its 114 µs: 6 µs of residence are not seen
     let left = seen.lock().unwrap()[0];
     assert_eq!(left, 9_000 - 120 - (1_900 - 6) - 120);
-    let _ = Span::ZERO;
+}
+
+/// `[PKT-10]`, `[FRM-10]`: on a bus the wire's time includes the two addresses.
+#[test]
+fn the_ttl_loses_a_buss_addresses_too() {
+    let mut world = World::new(1);
+    let nodes = [1, 2].map(|drop| add_probe(&mut world, &[bus_gateway(drop)]));
+    world.bus(&nodes.map(|node| (node, gateway(0))), BusModel::default());
+    world.run_for(us(20_000));
+    let mut route = RouteBuf::new();
+    route.push(Step::Bus { gateway: gateway(0), drop: BusDrop(2) }).unwrap();
+    let there = Destination { route, ..over(&[], 1, 5_000) };
+    let sent_at = world.now();
+    with_probe(&mut world, nodes[0], |it, now| it.datagram(&there, &[0; 29], now).unwrap());
+    world.run_for(us(2_000));
+    // 9 bytes of header, 2 of route, 29 of payload; addresses 2, check 2, stuffing and delimiter 2: 46 bytes of 10 µs
+    let far = probe(&world, nodes[1]);
+    assert_eq!(far.datagrams[0].0.as_us(), sent_at.as_us() + 460);
+    assert_eq!(far.ttls_us, [5_000 - 460]);
+}
+
+/// Jitter delays frames; it does not reorder those of one link, and none is on the wire before the one in front has left it.
+#[test]
+fn jitter_alone_keeps_the_order() {
+    let mut world = World::new(4);
+    let nodes = [1, 2].map(|_| add_probe(&mut world, &[USB_HIGH_SPEED]));
+    let model = LinkModel { jitter: us(500), latency: us(10), faults: None };
+    world.connect((nodes[0], gateway(0)), (nodes[1], gateway(0)), model);
+    world.run_for(us(20_000));
+    for number in 0..200u8 {
+        with_probe(&mut world, nodes[0], |it, now| it.datagram(&over(&[0], 1, 9_000), &[number], now).unwrap());
+        world.run_for(us(50));
+    }
+    world.run_for(us(2_000));
+    let order: Vec<u8> = probe(&world, nodes[1]).datagrams.iter().map(|(_, payload)| payload[0]).collect();
+    assert_eq!(order, (0..200).collect::<Vec<u8>>());
+}
+
+/// A capture of a link, by its tap: each packet once, with its direction, in order of time.
+#[test]
+fn a_link_can_be_captured() {
+    let mut world = World::new(1);
+    let nodes = [1, 2].map(|_| add_probe(&mut world, &[UART]));
+    let link = world.connect((nodes[0], gateway(0)), (nodes[1], gateway(0)), LinkModel::WIRE);
+    let mut capture = Capture::new(Vec::new()).unwrap();
+    let interface = capture.add_interface("uart", UART.bit_rate).unwrap();
+    let capture = Arc::new(Mutex::new(capture));
+    let shared = Arc::clone(&capture);
+    world.tap_link(
+        link,
+        Box::new(move |event| {
+            let direction = if event.way == 0 { Direction::Sent } else { Direction::Received };
+            let at = LocalTicks::from_steps(event.at.steps());
+            shared.lock().unwrap().packet(interface, at, direction, event.packet).unwrap();
+        }),
+    );
+    world.run_for(us(20_000));
+    let marker = b"seen on the wire";
+    with_probe(&mut world, nodes[0], |it, now| it.datagram(&over(&[0], 1, 9_000), marker, now).unwrap());
+    drop(world);
+    let bytes = Arc::into_inner(capture).unwrap().into_inner().unwrap().into_inner();
+    let found = bytes.windows(marker.len()).filter(|window| window == marker).count();
+    assert_eq!(found, 1);
 }

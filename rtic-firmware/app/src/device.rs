@@ -177,3 +177,125 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
 fn ports(kind: &'static Kind) -> impl Iterator<Item = (PortIndex, Service)> {
     (1..).zip(kind.ports).filter_map(|(index, entry)| Some((PortIndex::new(index)?, entry.service)))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kind;
+    use crate::stream::{BURST_MAX, StreamAnswer, StreamHead, StreamRequest};
+    use osap_protocol::discovery::{GatewayKind, Query, VERSION};
+    use osap_protocol::framing::Check;
+    use osap_protocol::header::{PORT_HEADER_BYTES, Terminal, emit};
+    use osap_protocol::transport::Transport;
+    use osap_protocol::{RouteBuf, Step};
+    use osap_runtime::GatewayConfig;
+
+    type Motor = Device<16, 256, 1, 4, 1024>;
+
+    const LINK: GatewayIndex = GatewayIndex::new(0).unwrap();
+    const LINK_CONFIG: GatewayConfig = GatewayConfig {
+        type_name: "test",
+        kind: GatewayKind::Link,
+        mtu_bytes: 256,
+        bit_rate: 0,
+        bits_a_byte: 8,
+        check: Check::None,
+        packet_hold_max: 8,
+    };
+
+    /// An open motor that has announced itself.
+    fn motor() -> Motor {
+        let mut motor = Motor::new(&kind::MOTOR, UniqueId([1; 12]), 1, BuildKind::Firmware, "m").unwrap();
+        motor.node_mut().add_gateway(LINK_CONFIG).unwrap();
+        motor.node_mut().set_open(LINK, true, LocalTicks::ZERO);
+        assert!(next_out(&mut motor, LocalTicks::ZERO).is_some());
+        motor
+    }
+
+    /// What the motor sends next: length and bytes.
+    fn next_out(motor: &mut Motor, now: LocalTicks) -> Option<([u8; 256], usize)> {
+        let mut out = [0; 256];
+        let outgoing = motor.transmit(LINK, now, &mut out)?;
+        Some((out, outgoing.len))
+    }
+
+    fn give(motor: &mut Motor, port: u16, transport: Transport, payload: &[u8], now: LocalTicks) {
+        let mut packet = [0; 256];
+        let mut route = RouteBuf::new();
+        route.push(Step::Link(LINK)).unwrap();
+        let (source, destination) = (PortIndex::new(9).unwrap(), PortIndex::new(port).unwrap());
+        let terminal = Terminal::Port { source, destination, transport: transport.key() };
+        let at = emit(&mut packet, 50_000, 256, route.as_route(), terminal).unwrap();
+        packet[at..at + payload.len()].copy_from_slice(payload);
+        motor.receive(Arrival::Link(LINK), &mut packet[..at + payload.len()], now, now).unwrap();
+    }
+
+    /// Routing answers the network's queries and leaves ports to the task below it.
+    #[test]
+    fn route_serves_no_port() {
+        let mut motor = motor();
+        let now = LocalTicks::from_us(100);
+        give(&mut motor, 1, Transport::Datagram, b"echo", now);
+        give(&mut motor, 0, Transport::Sequenced, &[1, 0, Query::TypeName.key(), VERSION], now);
+        assert_eq!((motor.queries_waiting(), motor.services_waiting(now)), (1, 1));
+        motor.route(now);
+        assert_eq!((motor.queries_waiting(), motor.services_waiting(now)), (0, 1));
+        let (answer, len) = next_out(&mut motor, now).unwrap();
+        assert_eq!(answer[len - 6..len], *b"\x05motor");
+        assert!(next_out(&mut motor, now).is_none());
+        motor.serve(now);
+        let (echo, len) = next_out(&mut motor, now).unwrap();
+        assert_eq!(echo[len - 4..len], *b"echo");
+        assert_eq!(motor.node().free_slots(), 16);
+    }
+
+    /// `[APP-05]`, `[APP-09]`, `[NOD-12]`: a call that comes twenty intervals late makes a burst, sheds the rest, and the next datagram is
+    /// due where it always was.
+    #[test]
+    fn a_late_call_sheds_what_it_missed() {
+        let mut motor = motor();
+        let us = |us| LocalTicks::from_us(us);
+        let request = StreamRequest { interval_us: 1_000, payload_bytes: 12, count: 100, ttl_us: 9_000 };
+        give(&mut motor, 2, Transport::Sequenced, &asked(7, &request), us(100));
+        motor.serve(us(100));
+        assert_eq!(motor.next_wake(), Some(us(1_100)));
+        assert_eq!(numbers(&mut motor, us(100)), [Some(0), None, None, None, None]);
+
+        motor.serve(us(20_150)); // due were 1,100 to 20,100: numbers 1 to 20
+        assert_eq!(motor.stream.next_wake(), Some(us(21_100)));
+        assert_eq!(BURST_MAX, 4);
+        assert_eq!(numbers(&mut motor, us(20_150)), [Some(1), Some(2), Some(3), Some(4), None]);
+        motor.serve(us(21_100));
+        assert_eq!(numbers(&mut motor, us(21_100)), [Some(21), None, None, None, None]);
+
+        let stop = StreamRequest { count: 0, ..request };
+        give(&mut motor, 2, Transport::Sequenced, &asked(8, &stop), us(21_200));
+        motor.serve(us(21_200));
+        let (answer, len) = next_out(&mut motor, us(21_200)).unwrap();
+        let answer = StreamAnswer::decode(&answer[len - StreamAnswer::LEN..len]);
+        assert_eq!(answer, Some(StreamAnswer { sent: 6, shed: 16 }));
+        assert_eq!(motor.stream.next_wake(), None);
+    }
+
+    /// Numbers of the datagrams that leave now; replies are passed over.
+    fn numbers(motor: &mut Motor, now: LocalTicks) -> [Option<u32>; 5] {
+        let mut numbers = [None; 5];
+        let mut count = 0;
+        while let Some((packet, len)) = next_out(motor, now) {
+            let head = PORT_HEADER_BYTES + 1;
+            if packet[head - 1] == Transport::Datagram.key() {
+                numbers[count] = StreamHead::decode(&packet[head..len]).map(|head| head.number);
+                count += 1;
+            }
+        }
+        numbers
+    }
+
+    /// A request behind its sequence number.
+    fn asked(sequence: u8, request: &StreamRequest) -> [u8; 14] {
+        let mut out = [0; 14];
+        out[0] = sequence;
+        out[2..].copy_from_slice(&request.encode());
+        out
+    }
+}

@@ -4,8 +4,9 @@
 use fixed_math::time::{LocalTicks, Span};
 use osap_protocol::discovery::{BuildKind, Query, UniqueId};
 use osap_protocol::header::Arrival;
+use osap_protocol::system::ANNOUNCE_TTL_US;
 use osap_protocol::transport::{SegmentHeader, Sequence, SequencedKind, Transport};
-use osap_protocol::{DropCause, GatewayIndex, PortIndex, RouteBuf, Step};
+use osap_protocol::{DropCause, GatewayIndex, Packet, PortIndex, RouteBuf, Step};
 use osap_runtime::debug::DebugRing;
 use osap_runtime::segmented::{Progress, Received, Receiver, Sender};
 use osap_runtime::sequenced::{Accepted, Client, Destination, Expect};
@@ -40,8 +41,8 @@ pub(crate) struct Probe {
     pub(crate) datagrams: Vec<(LocalTicks, Vec<u8>)>,
     pub(crate) messages: Vec<Vec<u8>>,
     pub(crate) progress: Option<Progress>,
-    /// Time to live of what came in, as the header had it at delivery: only packets forwarded since count it down.
-    pub(crate) deliveries: usize,
+    /// Time to live of each packet that came in, announcements left out.
+    pub(crate) ttls_us: Vec<u16>,
 }
 
 impl Probe {
@@ -69,7 +70,7 @@ impl Probe {
             datagrams: Vec::new(),
             messages: Vec::new(),
             progress: None,
-            deliveries: 0,
+            ttls_us: Vec::new(),
         })
     }
 
@@ -92,7 +93,6 @@ impl Probe {
     }
 
     fn take_in(&mut self, delivery: Delivery, now: LocalTicks) {
-        self.deliveries += 1;
         match delivery.transport {
             Transport::Datagram => {
                 self.datagrams.push((now, self.node.payload(&delivery).to_vec()));
@@ -128,7 +128,12 @@ fn outbound(to: &Destination, transport: Transport) -> Outbound<'_> {
 
 impl Endpoint for Probe {
     fn receive(&mut self, arrival: Arrival, packet: &mut [u8], started: LocalTicks, now: LocalTicks) {
-        let _counted = self.node.receive(arrival, packet, started, now);
+        let ttl_us = Packet::check(&*packet).map(|view| view.ttl_us());
+        if let (Ok(()), Ok(ttl_us)) = (self.node.receive(arrival, packet, started, now), ttl_us)
+            && ttl_us != ANNOUNCE_TTL_US
+        {
+            self.ttls_us.push(ttl_us);
+        }
     }
 
     fn run(&mut self, now: LocalTicks) {
