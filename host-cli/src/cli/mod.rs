@@ -4,18 +4,31 @@
 //!   library → [`Output`].
 //! - **Invariants:** a command's `run` writes only to its [`Output`] and ends in an [`Exit`] or a [`CliError`], so that tests can call it.
 //!   It decides nothing about the network: what it tells comes from the library.
-//! - **Common:** [`exit`] codes, [`error`]s with their next step, [`output`] sinks, [`table`]s, [`progress`], [`wait`]ing.
+//! - **Common:** [`exit`] codes, [`error`]s with their next step, [`output`] sinks, [`links`], [`devices`], [`table`]s, [`progress`], [`wait`]ing.
 
+pub mod devices;
 pub mod error;
 pub mod exit;
+pub mod links;
 pub mod output;
 pub mod progress;
 pub mod table;
 pub mod wait;
 
+pub mod bench;
 pub mod completions;
+pub mod counters;
+pub mod debug;
+pub mod decode;
+pub mod demo;
+pub mod info;
 pub mod key;
 pub mod man;
+pub mod map;
+pub mod name;
+pub mod ping;
+pub mod scan;
+pub mod sim;
 
 pub use error::CliError;
 pub use exit::Exit;
@@ -48,8 +61,19 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    Completions(completions::CompletionsArgs),
+    Demo(demo::DemoArgs),
+    Scan(scan::ScanArgs),
+    Sim(sim::SimArgs),
+    Map(map::MapArgs),
+    Ping(ping::PingArgs),
+    Info(info::InfoArgs),
+    Name(name::NameArgs),
+    Counters(counters::CountersArgs),
+    Debug(debug::DebugArgs),
+    Bench(bench::BenchArgs),
+    Decode(decode::DecodeArgs),
     Key(key::KeyArgs),
+    Completions(completions::CompletionsArgs),
     Man(man::ManArgs),
 }
 
@@ -91,9 +115,35 @@ pub fn run<A: Into<OsString> + Clone>(
 
 fn dispatch(command: &Command, output: &mut Output<'_>) -> Result<Exit, CliError> {
     match command {
-        Command::Completions(args) => completions::run(args, output),
+        Command::Demo(args) => demo::run(args, output),
+        Command::Scan(args) => scan::run(args, output),
+        Command::Sim(args) => sim::run(args, output),
+        Command::Map(args) => map::run(args, output),
+        Command::Ping(args) => ping::run(args, output),
+        Command::Info(args) => info::run(args, output),
+        Command::Name(args) => name::run(args, output),
+        Command::Counters(args) => counters::run(args, output),
+        Command::Debug(args) => debug::run(args, output),
+        Command::Bench(args) => bench::run(args, output),
+        Command::Decode(args) => decoded(args, output),
         Command::Key(args) => key::run(args, output),
+        Command::Completions(args) => completions::run(args, output),
         Command::Man(args) => man::run(args, output),
+    }
+}
+
+/// Explains bytes; what is wrong with the digits themselves is a matter of usage.
+fn decoded(args: &decode::DecodeArgs, output: &mut Output<'_>) -> Result<Exit, CliError> {
+    let json = output.json();
+    match decode::run(args, json, output.data()) {
+        Ok(decode::Outcome::Clean) => Ok(Exit::Ok),
+        Ok(decode::Outcome::Faulty) => Ok(Exit::Differs),
+        Err(decode::DecodeError::Output(error)) => Err(error.into()),
+        Err(error) => {
+            let exit = if matches!(error, decode::DecodeError::Input(_)) { Exit::Io } else { Exit::Usage };
+            let next = "give bytes as pairs of hexadecimal digits: `osap decode 05 e8 03 40 00 41 c0 18 00 00 2a`";
+            Err(CliError::new(exit, error.to_string(), "the digits given", next))
+        }
     }
 }
 

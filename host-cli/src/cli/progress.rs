@@ -35,6 +35,12 @@ impl Progress {
         Self(style.map_or(bar.clone(), |style| bar.with_style(style)))
     }
 
+    /// Nothing at all, for work beside other output.
+    #[must_use]
+    pub fn none() -> Self {
+        Self(ProgressBar::hidden())
+    }
+
     /// Says what is being done now.
     pub fn tell(&self, text: impl Into<String>) {
         self.0.set_message(text.into());

@@ -55,6 +55,13 @@ impl Table {
         anstream::adapter::strip_str(&self.to_string()).to_string()
     }
 
+    /// The rows alone, without head and colour: for lists of a name and a value.
+    #[must_use]
+    pub fn plain_body(&self) -> String {
+        let widths = self.widths();
+        self.rows.iter().map(|row| self.draw(&widths, row.iter()) + "\n").collect()
+    }
+
     fn widths(&self) -> Vec<usize> {
         let width = |text: &String| text.chars().count();
         let column = |(at, (name, _)): (usize, &(String, Align))| {

@@ -1,0 +1,177 @@
+//! Devices: scanning for them, finding the one that is meant, and what can go wrong between us and one.
+//!
+//! - **Walk:** a command's DEVICE → a scan → [`Scanned::device`] → questions to it → [`Scanned::failed`] where one has no answer.
+//! - **Invariant:** never the first of several: a name that two devices have is an error that lists both.
+
+use super::links::{LinkArgs, quoted};
+use super::output::printable;
+use super::progress::Progress;
+use super::{CliError, Exit, Output};
+use crate::error::{AskError, Place};
+use crate::map::{Device, NetworkMap, ResolveError, RouteText};
+use crate::scan::{ScanCost, ScanError, ScanOptions, ScanPhase, ScanProgress};
+use crate::session::Session;
+use serde::Serialize;
+
+/// A network that was scanned.
+pub struct Scanned<'a> {
+    /// What carries questions.
+    pub session: Session,
+    /// What was found.
+    pub map: NetworkMap,
+    /// What finding it took.
+    pub cost: ScanCost,
+    links: &'a LinkArgs,
+}
+
+/// Which device, in a document.
+#[derive(Clone, Debug, Serialize)]
+pub struct DeviceId {
+    /// What it is called.
+    pub name: String,
+    /// Which one, from its silicon.
+    pub unique_id: String,
+    /// The way to it.
+    pub route: RouteText,
+}
+
+impl From<&Device> for DeviceId {
+    fn from(device: &Device) -> Self {
+        Self { name: device.name.clone(), unique_id: device.unique_id.to_string(), route: device.route().clone() }
+    }
+}
+
+impl<'a> Scanned<'a> {
+    /// Opens the links and finds what is there.
+    ///
+    /// # Errors
+    /// Where no link opens or the host itself cannot go on. That a device is silent is no error: the map says it.
+    pub fn open(links: &'a LinkArgs, output: &mut Output<'_>) -> Result<Self, CliError> {
+        let progress = Progress::spinner(output, "opening links");
+        let mut session = links.open(output)?;
+        let (map, cost) = scan(&mut session, links, &progress)?;
+        Ok(Self { session, map, cost, links })
+    }
+
+    /// Finds what is there now.
+    ///
+    /// # Errors
+    /// As [`Scanned::open`].
+    pub fn again(&mut self) -> Result<(), CliError> {
+        (self.map, self.cost) = scan(&mut self.session, self.links, &Progress::none())?;
+        Ok(())
+    }
+
+    /// The device that `text` means, for `osap COMMAND`.
+    ///
+    /// # Errors
+    /// Where there is none or several.
+    pub fn device(&self, text: &str, command: &str) -> Result<&Device, CliError> {
+        self.map.resolve(text).map_err(|error| self.not_resolved(&error, command))
+    }
+
+    /// A command line that shows why devices drop packets.
+    #[must_use]
+    pub fn counters_hint(&self) -> String {
+        self.links.command("counters --all --nonzero")
+    }
+
+    /// What kept a device from answering.
+    #[must_use]
+    pub fn failed(&self, error: &AskError) -> CliError {
+        let scan = self.links.command("scan");
+        let there = |place: &Place| format!("{} over {}", place.route, self.links.place());
+        let name = |place: &Place| printable(&place.name.clone().unwrap_or_else(|| "a device".to_owned()));
+        let told = printable(&error.to_string());
+        let (exit, what, place, next) = match error {
+            AskError::Timeout { place, what, tries, waited_us } => (
+                Exit::NoAnswer,
+                format!("{} did not answer {what}: {tries} tries of {waited_us} µs each", name(place)),
+                there(place),
+                format!("check that it is powered and plugged in; `{scan}` shows what can be reached"),
+            ),
+            AskError::Refused { place, what, refusal } => (
+                Exit::Refused,
+                format!("{} refused {what}: {refusal}", name(place)),
+                there(place),
+                format!("`{}` shows what it has", self.links.command(&format!("info {}", place.route))),
+            ),
+            AskError::Network(error) => return self.links.stopped(error),
+            AskError::TooSlow { place, .. } | AskError::Send { place, .. } | AskError::Message { place, .. } => {
+                (Exit::NoAnswer, told, there(place), format!("`{scan}` shows what can be reached now"))
+            }
+            AskError::MessageRefused { place, .. } => {
+                (Exit::Refused, told, there(place), format!("`{}` shows why", self.counters_hint()))
+            }
+            AskError::Malformed { place, .. } => (
+                Exit::NoAnswer,
+                told,
+                there(place),
+                "update its firmware or this program, whichever is older".to_owned(),
+            ),
+        };
+        CliError::new(exit, what, place, next)
+    }
+
+    fn not_resolved(&self, error: &ResolveError, command: &str) -> CliError {
+        let scan = format!("`{}` lists all there are", self.links.command("scan"));
+        let found = format!("{}, where a scan found {} devices", self.links.place(), self.map.devices.len());
+        match error {
+            ResolveError::NotFound { text, near } => {
+                let what = format!("no device is called {text:?}, and no unique id begins so");
+                let next = match near.first() {
+                    Some(name) => {
+                        let meant = self.links.command(&format!("{command} {}", quoted(name)));
+                        format!("did you mean `{}`? {scan}", printable(&meant))
+                    }
+                    None => scan,
+                };
+                CliError::new(Exit::DeviceNotFound, what, found, next)
+            }
+            ResolveError::Ambiguous { text, candidates } => {
+                let one = |device: &crate::map::Candidate| {
+                    format!("{} ({}, id {})", device.route, printable(&device.name), device.unique_id)
+                };
+                let places = candidates.iter().map(one).collect::<Vec<_>>().join("; ");
+                let what = format!("{text:?} may mean any of {} devices", candidates.len());
+                let route = candidates.first().map_or_else(RouteText::host, |device| device.route.clone());
+                let next = format!("say which by its route: `{}`", self.links.command(&format!("{command} {route}")));
+                CliError::new(Exit::DeviceAmbiguous, what, places, next)
+            }
+            ResolveError::Route(error) => CliError::new(Exit::Usage, error.to_string(), found, scan),
+            ResolveError::NothingThere { route } => {
+                CliError::new(Exit::DeviceNotFound, format!("no device is at {route}"), found, scan)
+            }
+        }
+    }
+}
+
+fn scan(session: &mut Session, links: &LinkArgs, progress: &Progress) -> Result<(NetworkMap, ScanCost), CliError> {
+    let mut tell = |now: ScanProgress| {
+        let phase = match now.phase {
+            ScanPhase::Visiting => "asking who is there",
+            ScanPhase::Reading => "reading what they say",
+            ScanPhase::Closing => "looking whether all are still there",
+        };
+        let ScanProgress { depth, done, of, devices, .. } = now;
+        progress.tell(format!("{devices} devices; {phase}, {depth} steps away: {done} of {of}"));
+    };
+    match session.scan(&ScanOptions::default(), &mut tell) {
+        Ok(report) => Ok((report.map, report.cost)),
+        Err(ScanError::Network(error)) => Err(links.stopped(&error)),
+        Err(error @ ScanError::HostSilent) => {
+            Err(CliError::new(Exit::NoAnswer, error.to_string(), links.place(), "report it with this command line"))
+        }
+    }
+}
+
+/// The map as text can show it: names from devices cannot move a terminal's cursor or break a line.
+#[must_use]
+pub fn shown(map: &NetworkMap) -> NetworkMap {
+    let mut shown = map.clone();
+    for device in &mut shown.devices {
+        device.name = printable(&device.name);
+        device.type_name = printable(&device.type_name);
+    }
+    shown
+}
