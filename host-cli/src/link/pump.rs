@@ -222,9 +222,11 @@ pub(super) fn start(plan: Plan<'_>, opener: Box<dyn Opener>) -> Result<LinkHandl
 
 /// Opens the link and reads from it.
 struct Reader {
+    /// First of the fields, so that it is dropped before the session's sink: a listener has closed by the time its peer sees the
+    /// connection end and calls again.
+    opener: Box<dyn Opener>,
     events: Events,
     between: Arc<Between>,
-    opener: Box<dyn Opener>,
     form: Form,
     mtu: usize,
     clock: Clock,

@@ -209,6 +209,18 @@ mod tests {
         }
     }
 
+    /// Read back from the system: a pseudo-terminal's writes rarely block, so only a stuck USB device would show the difference.
+    #[cfg(unix)]
+    #[test]
+    fn an_open_port_never_blocks() {
+        use nix::fcntl::{FcntlArg, OFlag, fcntl};
+        use std::os::fd::AsRawFd;
+        let (_master, slave) = serialport::TTYPort::pair().unwrap();
+        never_block(&slave).unwrap();
+        let flags = OFlag::from_bits_truncate(fcntl(slave.as_raw_fd(), FcntlArg::F_GETFL).unwrap());
+        assert!(flags.contains(OFlag::O_NONBLOCK));
+    }
+
     #[test]
     fn a_port_that_may_not_be_opened_says_what_to_do() {
         let denied = serialport::Error::new(serialport::ErrorKind::Io(io::ErrorKind::PermissionDenied), "denied");

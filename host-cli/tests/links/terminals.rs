@@ -4,7 +4,7 @@
 //! - **Clauses:** `[LNK-01]`, `[LNK-06]`, `[FRM-02]`.
 
 use crate::support::{Side, exchange, plain};
-use osap::link::LinkEvent;
+use osap::link::{self, LinkEvent, LinkOptions};
 use std::os::unix::fs::symlink;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -30,20 +30,33 @@ fn a_pseudo_terminal_is_a_serial_port() {
     }
 }
 
-/// Nobody reads the terminal: its writer waits, and still ends with its handle.
-#[test]
-fn a_terminal_that_nobody_reads_ends() {
-    let terminal = Side::listen("pty", &plain());
-    terminal.expect(&LinkEvent::Up);
+/// Sends the longest packets, which the system does not take at once, until there is no `Sent` any more.
+fn fill(side: &Side) {
     loop {
-        terminal.handle.send(vec![1; 1024]).unwrap();
-        match terminal.inbox.recv_timeout(Duration::from_secs(1)) {
+        side.handle.send(vec![1; usize::from(link::MTU_BYTES_MAX)]).unwrap();
+        match side.inbox.recv_timeout(Duration::from_secs(1)) {
             Ok((_, LinkEvent::Sent)) => {}
             Ok(other) => panic!("{other:?}"),
-            Err(_) => break,
+            Err(_) => return,
         }
     }
+}
+
+/// Nobody reads: the writer waits in the middle of a packet, and still ends with its handle, whichever side it is on.
+#[test]
+fn a_writer_that_waits_for_a_device_ends() {
+    let longest = LinkOptions { mtu_bytes: link::MTU_BYTES_MAX, ..plain() };
+    let terminal = Side::listen("pty", &longest);
+    terminal.expect(&LinkEvent::Up);
+    fill(&terminal);
     terminal.drop_and_see_threads_end();
+
+    let deaf = Side::listen_with_room("pty", &longest, 1); // its `Up` is never taken, so it hands no packet on
+    let port = Side::open(&format!("serial:{}", device(&deaf)), &longest);
+    port.expect(&LinkEvent::Up);
+    fill(&port);
+    port.drop_and_see_threads_end();
+    deaf.drop_and_see_threads_end();
 }
 
 /// A folder of its own, gone with the test.
