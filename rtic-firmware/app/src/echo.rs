@@ -2,7 +2,7 @@
 //!
 //! - **Walk:** stack → *here* → a reply in the same slot, or for a message its segments, one window at a time.
 //! - **Invariants:** one message is received at a time and one is sent back; who comes in between is told that it is busy.
-//! - **Context:** the serving task; O(packet), and O(window) where a message goes back. **Clauses:** `[APP-02]` to `[APP-04]`.
+//! - **Context:** the serving task; O(packet), and O(window) where a message goes back. **Clauses:** `[APP-02]`, `[APP-03]`, `[APP-04]`.
 
 use fixed_math::time::LocalTicks;
 use osap_protocol::header::way_back;
@@ -80,6 +80,7 @@ impl<const MESSAGE_BYTES: usize> Echo<MESSAGE_BYTES> {
         if let (Ok(SegmentHeader::Data { message, .. }), Some((asker, _))) = (header, &self.sending)
             && *asker != (Asker { port: delivery.source, message })
         {
+            // `[APP-04]`: the outbox is not free
             let mut out = [0; SegmentHeader::LEN_MAX];
             let len = SegmentHeader::Refuse { message, reason: SegmentRefusal::Busy }.encode(&mut out);
             let _counted = node.reply(delivery, &[&out[..len]], now);
@@ -110,6 +111,7 @@ impl<const MESSAGE_BYTES: usize> Echo<MESSAGE_BYTES> {
         }
     }
 
+    /// Begins to send the message just received back, `[APP-03]`.
     fn send_back(&mut self, asker: Asker, port: PortIndex, to: &Outbound<'_>, now: LocalTicks) {
         self.outbox.clear();
         // as long as the receiver's own buffer, so it always fits
