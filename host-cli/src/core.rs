@@ -164,6 +164,7 @@ pub struct HostCore {
     events: VecDeque<NetworkEvent>,
     exchange: Exchange,
     statistics: Statistics,
+    turn: u64,
 }
 
 impl HostCore {
@@ -171,7 +172,7 @@ impl HostCore {
     #[must_use]
     pub fn new(identity: &HostIdentity) -> Self {
         let (node, [netrunner, stream]) = boxed_node(identity);
-        let first = Sequence::new(u16::from_le_bytes([identity.unique_id.0[0], identity.unique_id.0[1]]));
+        let first = Sequence::new(u16::from_le_bytes([identity.unique_id.0[4], identity.unique_id.0[5]]));
         Self {
             node,
             netrunner,
@@ -182,7 +183,14 @@ impl HostCore {
             events: VecDeque::new(),
             exchange: Exchange::default(),
             statistics: Statistics::default(),
+            turn: 0,
         }
+    }
+
+    /// Goes up with all that happens here: who waits for something need not look before.
+    #[must_use]
+    pub const fn turn(&self) -> u64 {
+        self.turn
     }
 
     /// Adds a link, closed; `None` where there are [`LINKS_MAX`]. What it may hold is the host's to say.
@@ -287,6 +295,7 @@ impl HostCore {
 
     /// Does what is due: the node's own duties, answers to open requests, retries, the message under way.
     pub fn run(&mut self, now: LocalTicks) {
+        self.turn = self.turn.wrapping_add(1);
         loop {
             self.node.run(now);
             // what is sent to the host itself is delivered in the next round

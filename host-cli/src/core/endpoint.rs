@@ -14,6 +14,7 @@ use osap_sim::endpoint::Endpoint;
 
 impl Endpoint for HostCore {
     fn receive(&mut self, arrival: Arrival, packet: &mut [u8], started: LocalTicks, now: LocalTicks) {
+        self.turn = self.turn.wrapping_add(1);
         // a drop is counted in the node
         let _counted = self.node.receive(arrival, packet, started, now);
     }

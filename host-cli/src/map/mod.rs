@@ -290,21 +290,22 @@ impl Device {
         &self.routes[0].route
     }
 
-    /// Its name, or its type and the head of its id where it has none.
+    /// Its name, or its type and the tail of its id where it has none.
     #[must_use]
     pub fn label(&self) -> String {
         if self.name.is_empty() {
             let kind = if self.type_name.is_empty() { "device" } else { &self.type_name };
-            format!("{kind}-{}", short_id(self.unique_id))
+            format!("{kind}-{}", &self.unique_id.to_string()[16..])
         } else {
             self.name.clone()
         }
     }
 }
 
-/// The head of an id: enough to tell devices apart by eye.
+/// Head and tail of an id, since makers count in either: enough to tell devices apart by eye.
 pub(crate) fn short_id(id: UniqueId) -> String {
-    id.to_string().chars().take(8).collect()
+    let digits = id.to_string();
+    format!("{}…{}", &digits[..4], &digits[20..])
 }
 
 /// Why a text is no map.

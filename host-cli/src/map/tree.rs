@@ -1,12 +1,12 @@
 //! A map as a tree of text, for terminals.
 //!
 //! ```text
-//! host  osap-host  686f7374
-//! └─0─ hub  fabric-hub  01a2b3c4
-//!    ├─1─ axis-x  servo  02a2b3c4
+//! host  osap-host  686f…0007
+//! └─0─ hub  fabric-hub  01a2…b3c4
+//!    ├─1─ axis-x  servo  02a2…b3c4
 //!    │  └═2═ axis-y (/0/2)
-//!    ├─2─ axis-y  servo  03a2b3c4
-//!    └─3─ silent, expected 04a2b3c4
+//!    ├─2─ axis-y  servo  03a2…b3c4
+//!    └─3─ silent, expected 04a2…b3c4
 //! ```
 //!
 //! Single lines are first routes; a double line closes a loop or is a further way to a device shown elsewhere.

@@ -5,6 +5,7 @@
 //!   time. All else here is made of these, so that a simulated network cannot behave otherwise than a real one.
 //! - **Context:** the caller's thread. [`real`] runs the core on a thread of its own, [`sim`] on the caller's.
 
+mod capture;
 pub mod real;
 pub mod sim;
 mod spec;
@@ -53,6 +54,9 @@ pub trait Network {
 
     /// Whether its time is virtual: then it says nothing about this computer.
     fn is_simulated(&self) -> bool;
+
+    /// Why the capture that was asked for ended early, if it did.
+    fn capture_fault(&self) -> Option<String>;
 
     /// Sends a request.
     ///

@@ -7,6 +7,7 @@
 //! - **Context:** the calls are the caller's thread's; [`Runner`] is the node's.
 //! - **Clauses:** `[LNK-01]`, `[NOD-12]`.
 
+use super::capture::LinkCapture;
 use super::{Network, Task};
 use crate::core::{HostCore, HostIdentity, LINKS_MAX};
 use crate::error::{NetworkError, OpenError};
@@ -17,6 +18,7 @@ use osap_protocol::GatewayIndex;
 use osap_protocol::discovery::GatewayKind;
 use osap_protocol::header::Arrival;
 use osap_runtime::GatewayConfig;
+use osap_sim::capture::Direction;
 use osap_sim::endpoint::Endpoint;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TryRecvError, sync_channel};
 use std::thread::JoinHandle;
@@ -48,6 +50,7 @@ pub struct RealNetwork {
     waker: SyncSender<(GatewayIndex, LinkEvent)>,
     done: Receiver<()>,
     thread: Option<JoinHandle<()>>,
+    capture: Option<LinkCapture>,
 }
 
 impl RealNetwork {
@@ -58,6 +61,7 @@ impl RealNetwork {
     pub fn open(specs: &[LinkSpec], options: &OpenOptions) -> Result<Self, OpenError> {
         let clock = Clock::new();
         let mut opening = Opening::new(clock, host_identity(options.name.as_deref()));
+        opening.capture = options.capture.as_deref().map(LinkCapture::create).transpose()?;
         for spec in specs {
             opening.add(spec.to_string(), |gateway, events, clock| {
                 link::open(spec, gateway, events, clock, &options.link)
@@ -103,6 +107,10 @@ impl Network for RealNetwork {
     fn is_simulated(&self) -> bool {
         false
     }
+
+    fn capture_fault(&self) -> Option<String> {
+        self.capture.as_ref().and_then(LinkCapture::fault)
+    }
 }
 
 impl Drop for RealNetwork {
@@ -124,13 +132,14 @@ struct Opening {
     names: Vec<String>,
     events: SyncSender<(GatewayIndex, LinkEvent)>,
     inbox: Receiver<(GatewayIndex, LinkEvent)>,
+    capture: Option<LinkCapture>,
 }
 
 impl Opening {
     fn new(clock: Clock, identity: HostIdentity) -> Self {
         let (events, inbox) = sync_channel(EVENTS_MAX);
         let core = HostCore::new(&identity);
-        Self { clock, core, handles: Vec::new(), names: Vec::new(), events, inbox }
+        Self { clock, core, handles: Vec::new(), names: Vec::new(), events, inbox, capture: None }
     }
 
     fn add(
@@ -143,13 +152,16 @@ impl Opening {
         let index = u8::try_from(number).ok().and_then(GatewayIndex::new).ok_or_else(too_many)?;
         let handle = open(index, self.events.clone(), &self.clock)?;
         self.core.add_link(config_of(&handle.description)).ok_or_else(too_many)?;
+        if let Some(capture) = &self.capture {
+            capture.add(&name, handle.description.bit_rate);
+        }
         self.handles.push(handle);
         self.names.push(name);
         Ok(())
     }
 
     fn start(self) -> Result<RealNetwork, OpenError> {
-        let Self { clock, core, handles, names, events, inbox } = self;
+        let Self { clock, core, handles, names, events, inbox, capture } = self;
         let (jobs, job_inbox) = sync_channel(1);
         let (done_sender, done) = sync_channel(1);
         let runner = Runner {
@@ -161,10 +173,11 @@ impl Opening {
             jobs: job_inbox,
             done: done_sender,
             job: None,
+            capture: capture.clone(),
         };
         let thread = std::thread::Builder::new().name("osap-node".into()).spawn(move || runner.run());
         let thread = Some(thread.map_err(OpenError::Thread)?);
-        Ok(RealNetwork { clock, names, jobs: Some(jobs), waker: events, done, thread })
+        Ok(RealNetwork { clock, names, jobs: Some(jobs), waker: events, done, thread, capture })
     }
 }
 
@@ -179,6 +192,7 @@ struct Runner {
     jobs: Receiver<Job>,
     done: SyncSender<()>,
     job: Option<Job>,
+    capture: Option<LinkCapture>,
 }
 
 impl Runner {
@@ -232,6 +246,9 @@ impl Runner {
             let mut packet = vec![0; usize::from(handle.description.mtu_bytes)];
             let Some(outgoing) = self.core.transmit(gateway, now, &mut packet) else { continue };
             packet.truncate(outgoing.len);
+            if let Some(capture) = &self.capture {
+                capture.packet(number, now, Direction::Sent, &packet);
+            }
             self.clear[number] = false;
             if let Err(gone) = handle.send(packet) {
                 self.core.set_link(gateway, Some(gone.to_string()), now);
@@ -272,6 +289,9 @@ impl Runner {
                 self.core.set_link(gateway, Some(reason), now);
             }
             LinkEvent::Packet { mut bytes, started } => {
+                if let Some(capture) = &self.capture {
+                    capture.packet(gateway.at(), started, Direction::Received, &bytes);
+                }
                 self.core.receive(Arrival::Link(gateway), &mut bytes, started, now);
             }
             LinkEvent::Dropped(cause) => self.core.count(cause, Some(gateway), now),

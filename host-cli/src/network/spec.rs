@@ -30,7 +30,7 @@ use std::fmt::{self, Display, Formatter};
 use std::str::FromStr;
 
 /// Devices a simulated machine has at most.
-pub const SIM_DEVICES_MAX: usize = 5_000;
+pub(super) const SIM_DEVICES_MAX: usize = 5_000;
 const PREFIX: &str = "sim:";
 
 /// A network to open: one link of several, or a whole simulated machine.

@@ -20,11 +20,11 @@ use crate::error::NetworkError;
 use crate::map::{Finding, NetworkMap, RouteText};
 use crate::network::Network;
 use crate::session::{Session, Window};
-use fixed_math::time::Span;
+use fixed_math::time::{LocalTicks, Span};
 use found::{Candidate, Edge, Found, Silence};
 use osap_protocol::RouteBuf;
+use osap_protocol::discovery::UniqueId;
 use std::collections::{BTreeMap, BTreeSet};
-use std::hash::{BuildHasher, Hasher};
 use visits::Visits;
 
 /// Times a question that nobody answered is asked again as a whole, each with all its tries: links that lose packets lose more of
@@ -123,7 +123,9 @@ impl Session {
         options: &ScanOptions,
         progress: &mut dyn FnMut(ScanProgress),
     ) -> Result<ScanReport, ScanError> {
-        let report = Scanner::new(self.network(), *options, progress).run()?;
+        let network = self.network();
+        let scan = scan_number(network.local()?.unique_id, network.now());
+        let report = Scanner::new(network, scan, *options, progress).run()?;
         self.learn(&report.map);
         Ok(report)
     }
@@ -145,9 +147,12 @@ struct Scanner<'a> {
 }
 
 impl<'a> Scanner<'a> {
-    fn new(network: &'a mut dyn Network, options: ScanOptions, progress: &'a mut dyn FnMut(ScanProgress)) -> Self {
-        #[expect(clippy::cast_possible_truncation, reason = "any 32 bits do; 0 means no scan")]
-        let scan = (std::hash::RandomState::new().build_hasher().finish() as u32).max(1);
+    fn new(
+        network: &'a mut dyn Network,
+        scan: u32,
+        options: ScanOptions,
+        progress: &'a mut dyn FnMut(ScanProgress),
+    ) -> Self {
         Self {
             network,
             options,
@@ -191,10 +196,12 @@ impl<'a> Scanner<'a> {
         }
         Ok(())
     }
+}
 
-    fn report(&mut self, phase: ScanPhase, depth: usize, done: usize, of: usize) {
-        (self.progress)(ScanProgress { phase, depth, done, of, devices: self.found.len() });
-    }
+/// A number that differs from host to host and from scan to scan, and repeats itself in a simulated world. FNV-1a; 0 is no scan.
+fn scan_number(host: UniqueId, now: LocalTicks) -> u32 {
+    let bytes = host.0.into_iter().chain(now.steps().to_le_bytes());
+    bytes.fold(0x811c_9dc5, |hash: u32, byte| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193)).max(1)
 }
 
 fn cost(before: Statistics, after: &Statistics, elapsed: Span) -> ScanCost {

@@ -81,11 +81,6 @@ impl Visits {
         self.device[root] = Some(device);
     }
 
-    /// Whether two visits reached one node.
-    pub(super) fn are_one(&mut self, one: ScanId, other: ScanId) -> bool {
-        self.root(one) == self.root(other)
-    }
-
     fn root(&mut self, visit: ScanId) -> usize {
         let mut at = usize::from(visit.visit);
         while self.parent[at] != at {
@@ -151,7 +146,8 @@ mod tests {
         assert!(visits.join(two, broadcast, &bus_route(2)));
         assert!(!visits.join(three, broadcast, &bus_route(9)), "its answer to the broadcast was lost");
         assert_eq!(visits.device(two), Some(3));
-        assert!(!visits.are_one(one, two));
+        visits.reached(one, 4);
+        assert_eq!(visits.device(two), Some(3));
     }
 
     #[test]
