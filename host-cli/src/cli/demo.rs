@@ -138,8 +138,8 @@ fn table(rows: &[Row]) -> Table {
 
 fn explain(count: u32, output: &mut Output<'_>) -> Result<(), CliError> {
     output.line(format!(
-        "{FAINT}Ours is virtual time, {count} round trips each, max of all; processors take the thesis's processing times, USB its scatter.\n\
-         Shorter for two reasons: our question is {} bytes, where 534 µs count 76 both ways, and no Python takes some 250 µs.{FAINT:#}",
+        "{FAINT}Ours: virtual time, {count} round trips each, longest of all; the processors take the thesis's processing times.\n\
+         Why ours are shorter: our question has {} bytes, where 534 µs counts 76 each way, and there is no Python on the way.{FAINT:#}",
         QUESTION_BYTES + SequencedHeader::LEN + PORT_HEADER_BYTES + 2
     ))?;
     output.say("Next: `osap sim printer --listen tcp:127.0.0.1:4100` offers the same machine to other programs.");

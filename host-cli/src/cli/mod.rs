@@ -141,7 +141,7 @@ fn decoded(args: &decode::DecodeArgs, output: &mut Output<'_>) -> Result<Exit, C
         Err(decode::DecodeError::Output(error)) => Err(error.into()),
         Err(error) => {
             let exit = if matches!(error, decode::DecodeError::Input(_)) { Exit::Io } else { Exit::Usage };
-            let next = "give bytes as pairs of hexadecimal digits: `osap decode 05 e8 03 40 00 41 c0 18 00 00 2a`";
+            let next = "give bytes as pairs of hexadecimal digits: `osap decode 05 e8 03 40 00 41 c0 18 01 00 2a`";
             Err(CliError::new(exit, error.to_string(), "the digits given", next))
         }
     }

@@ -96,8 +96,10 @@ impl<'a> Output<'a> {
         Ok(self.out.flush()?)
     }
 
-    /// A line of talk. That nobody can read it is no reason to fail.
+    /// A line of talk, after the data that was written before it. That nobody can read it is no reason to fail.
     pub fn say(&mut self, text: impl Display) {
+        // Where the data has no reader any more, the next line of data says so.
+        let _ = self.out.flush();
         let _ = writeln!(self.talk, "{text}");
     }
 
@@ -109,6 +111,12 @@ impl<'a> Output<'a> {
             _ => self.say(error),
         }
     }
+}
+
+/// A number with its noun: `1 link`, `2 links`.
+#[must_use]
+pub fn count(number: usize, one: &str, many: &str) -> String {
+    format!("{number} {}", if number == 1 { one } else { many })
 }
 
 /// `text` with everything that could move a terminal's cursor or colour made visible: names come from devices.

@@ -2,7 +2,7 @@
 
 use super::devices::{Scanned, shown};
 use super::links::LinkArgs;
-use super::output::{FAINT, HINT, printable};
+use super::output::{FAINT, HINT, count, printable};
 use super::wait::{Until, parse_seconds};
 use super::{CliError, Exit, Output};
 use crate::error::AskError;
@@ -67,10 +67,10 @@ pub(super) fn tree(
     output.text(map.tree())?;
     let time = if simulated { "of virtual time" } else { "of time" };
     output.line(format!(
-        "{FAINT}{} devices, {} links, {} buses: {} questions, {} retries, {}.{} ms {time}{FAINT:#}",
-        map.devices.len(),
-        map.links.len(),
-        map.buses.len(),
+        "{FAINT}{}, {}, {}: {} questions, {} retries, {}.{} ms {time}{FAINT:#}",
+        count(map.devices.len(), "device", "devices"),
+        count(map.links.len(), "link", "links"),
+        count(map.buses.len(), "bus", "buses"),
         cost.requests,
         cost.retries,
         cost.elapsed_us / 1_000,

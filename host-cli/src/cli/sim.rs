@@ -1,6 +1,6 @@
 //! `osap sim MACHINE --listen …`: offers a simulated machine in real time, as hardware would be offered.
 //!
-//! - **Walk:** a machine with a [`bridge`] in the workstation's place → one listening link for each of its USB links → [`offer`] lets
+//! - **Walk:** a machine with a [`bridge`] in the workstation's place → one listening link for each of its links to the workstation → [`offer`] lets
 //!   real time pass in the world and carries packets between the two.
 //! - **Invariant:** what is offered is the machine that `--link sim:` scans in virtual time, with the same seed.
 
@@ -32,7 +32,8 @@ pub struct SimArgs {
     /// Machine: printer, line:N, ring:N, bus:N, random:N or random:N:EXTRA
     #[arg(value_name = "MACHINE", value_parser = parse_machine)]
     machine: SimSpec,
-    /// Where: tcp:HOST:PORT, one port after the other for each USB link (port 0: any free ones), udp:HOST:PORT, or pty
+    /// Where: tcp:HOST:PORT or udp:HOST:PORT, one port after the other for each link to the workstation (port 0: any
+    /// free ones), or pty
     #[arg(long, value_name = "SPEC")]
     listen: LinkSpec,
     /// Seed of all that is drawn at random

@@ -8,7 +8,7 @@
 //! assert_eq!(table.plain(), "device   µs\nbed       7\nhub-a   350\n");
 //! ```
 
-use super::output::{FAINT, STRONG};
+use super::output::STRONG;
 use std::fmt::{self, Write as _};
 
 /// Where a cell stands in its column.
@@ -94,10 +94,7 @@ impl fmt::Display for Table {
         let head = self.draw(&widths, self.head.iter().map(|(name, _)| name));
         writeln!(f, "{STRONG}{head}{STRONG:#}")?;
         for row in &self.rows {
-            let line = self.draw(&widths, row.iter());
-            // A row of nothing but dashes and zeros has nothing to tell.
-            let idle = row.iter().skip(1).all(|cell| matches!(cell.as_str(), "" | "-" | "0"));
-            if idle { writeln!(f, "{FAINT}{line}{FAINT:#}")? } else { writeln!(f, "{line}")? }
+            writeln!(f, "{}", self.draw(&widths, row.iter()))?;
         }
         Ok(())
     }
