@@ -1,7 +1,8 @@
 //! Port 0: answers what a scanner asks.
 //!
 //! - **Walk:** stack → *here* → the query's own packet, turned back → stack.
-//! - **Invariants:** one answer or one named drop a query, in bounded time; a refusal changes nothing; asking again gives the same.
+//! - **Invariants:** one answer or one named drop a query, in bounded time; a refusal changes nothing; asking again gives the same,
+//!   since a request may come more than once, `[TRN-06]`.
 //! - **Context:** the node's (the routing task), so that no user code delays it. **Clauses:** `[DSC-01]` to `[DSC-07]`.
 
 use crate::mailbox::{Delivery, Mailbox};

@@ -51,6 +51,22 @@ fn ttl_counts_residence_and_wire_time_once_each() {
     assert_eq!(Packet::check(&packet[..out.len]).unwrap().ttl_us(), 770);
 }
 
+/// `[PKT-13]`: the deadline belongs to the exchange. 200 µs after a request of 1000 µs arrived, its reply leaves with 800, and 800 µs later it is too late.
+#[test]
+fn a_reply_has_what_is_left_of_its_request() {
+    for (waits_us, left) in [(200, Some(800)), (999, Some(1)), (1_000, None)] {
+        let [mut a, mut b, _] = line(FAST);
+        datagram(&mut a, &[link(0)], USER, 1000, b"?", us(0)).unwrap();
+        assert_eq!(carry((&mut a, 0), (&mut b, 0), us(0)), Some(Ok(())));
+        let delivery = b.take(port(USER), us(0)).unwrap();
+        b.reply(delivery, &[b"!"], us(waits_us)).unwrap();
+        let mut packet = [0; BYTES];
+        let out = b.transmit(gateway(0), us(waits_us), &mut packet);
+        assert_eq!(out.map(|out| Packet::check(&packet[..out.len]).unwrap().ttl_us()), left);
+        assert_eq!(b.counters().of(DropCause::Expired), u32::from(left.is_none()));
+    }
+}
+
 /// `[PKT-10]`, `[NOD-04]`, `[NOD-12]`: what could only arrive late is dropped, also when the loop stalls for seconds.
 #[test]
 fn late_packets_are_dropped_and_counted() {
