@@ -65,7 +65,7 @@ pub(super) fn run(args: &BenchArgs, output: &mut Output<'_>) -> Result<Exit, Cli
         output.text(table(&reports))?;
     }
     let is_whole = reports.iter().all(|report| report.lost == 0 && report.corrupt == 0);
-    Ok(if is_whole { Exit::Ok } else { Exit::Differs })
+    scanned.finish(if is_whole { Exit::Ok } else { Exit::Differs })
 }
 
 /// The sizes asked for, where each fits a packet of the route.

@@ -77,7 +77,7 @@ pub(super) fn run(args: &CountersArgs, output: &mut Output<'_>) -> Result<Exit, 
     } else {
         show(&read, args.all, output)?;
     }
-    Ok(Exit::Ok)
+    scanned.finish(Exit::Ok)
 }
 
 fn show(read: &[(&Device, Vec<Counter>)], all: bool, output: &mut Output<'_>) -> Result<(), CliError> {

@@ -100,7 +100,7 @@ pub(super) fn run(args: &DebugArgs, output: &mut Output<'_>) -> Result<Exit, Cli
             reader.show(&log, log.first.wrapping_sub(from), output)?;
         }
     }
-    Ok(Exit::Ok)
+    scanned.finish(Exit::Ok)
 }
 
 impl Reader<'_, '_> {

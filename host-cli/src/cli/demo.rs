@@ -95,12 +95,12 @@ pub(super) fn run(args: &DemoArgs, output: &mut Output<'_>) -> Result<Exit, CliE
     if output.json() {
         let Scanned { map, cost, .. } = &scanned;
         output.document("demo", &Document { seed: args.seed, map, cost, rows: &rows })?;
-        return Ok(Exit::Ok);
+        return scanned.finish(Exit::Ok);
     }
     output.line(format!("\n{STRONG}Round trips of the 76-byte answer, µs, beside the thesis's Table 2.7{STRONG:#}"))?;
     output.text(table(&rows))?;
     explain(args.count, output)?;
-    Ok(Exit::Ok)
+    scanned.finish(Exit::Ok)
 }
 
 fn measure(row: &TableRow, count: u32, scanned: &mut Scanned<'_>) -> Result<Row, CliError> {

@@ -70,6 +70,20 @@ impl<'a> Scanned<'a> {
         self.map.resolve(text).map_err(|error| self.not_resolved(&error, command))
     }
 
+    /// The end of a command: `exit`, unless the capture that was asked for is not whole.
+    ///
+    /// # Errors
+    /// Where the capture ended early.
+    pub fn finish(&mut self, exit: Exit) -> Result<Exit, CliError> {
+        match self.session.network().capture_fault() {
+            None => Ok(exit),
+            Some(fault) => {
+                let next = "make room for the file, or choose another one for --capture, then run the command again";
+                Err(CliError::new(Exit::Io, format!("the capture is not whole: {fault}"), self.links.place(), next))
+            }
+        }
+    }
+
     /// A command line that shows why devices drop packets.
     #[must_use]
     pub fn counters_hint(&self) -> String {
@@ -174,4 +188,47 @@ pub fn shown(map: &NetworkMap) -> NetworkMap {
         device.type_name = printable(&device.type_name);
     }
     shown
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use osap_protocol::discovery::Refusal;
+
+    fn with_scanned(check: impl FnOnce(&Scanned<'_>)) {
+        let links = LinkArgs::simulated("sim:line:1".parse().unwrap(), None);
+        let (mut out, mut talk) = (Vec::new(), Vec::new());
+        let scanned = Scanned::open(&links, &mut Output::new(&mut out, &mut talk, false, false));
+        check(&scanned.unwrap_or_else(|error| panic!("{error}")));
+    }
+
+    /// What cannot be brought about from a command line, since the options are checked before anything is sent.
+    #[test]
+    fn what_a_device_refuses_and_what_it_leaves_unanswered_have_their_codes() {
+        with_scanned(|scanned| {
+            let route: RouteText = "/0".parse().unwrap();
+            let place = || Place { name: Some("\u{1b}[2Jhub".to_owned()), route: route.clone() };
+            let refused = AskError::Refused { place: place(), what: "set runtime name", refusal: Refusal::Range };
+            let silent = AskError::Timeout { place: place(), what: "counters", tries: 4, waited_us: 50_000 };
+            for (error, exit, next) in [
+                (refused, Exit::Refused, "`osap info /0 --link sim:line:1`"),
+                (silent, Exit::NoAnswer, "`osap scan --link sim:line:1`"),
+            ] {
+                let failed = scanned.failed(&error);
+                let text = failed.to_string();
+                assert_eq!(failed.exit(), exit);
+                assert!(text.contains(next) && text.contains("/0 over sim:line:1"), "{text}");
+                assert!(!text.contains("\u{1b}[2J"), "a device's name reached the terminal as it was: {text:?}");
+            }
+        });
+    }
+
+    #[test]
+    fn names_in_a_shown_map_cannot_break_its_lines() {
+        with_scanned(|scanned| {
+            let mut map = scanned.map.clone();
+            map.devices[1].name = "a\nb".to_owned();
+            assert_eq!(shown(&map).tree().lines().count(), 2);
+        });
+    }
 }

@@ -34,7 +34,7 @@ pub(super) fn run(args: &InfoArgs, output: &mut Output<'_>) -> Result<Exit, CliE
     let time = scanned.session.time_control(&to).map_err(|error| scanned.failed(&error))?.value;
     if output.json() {
         output.document("info", &Document { device: &device, time_control: &time })?;
-        return Ok(Exit::Ok);
+        return scanned.finish(Exit::Ok);
     }
     output.line(format!("{STRONG}{}{STRONG:#}", printable(&device.label())))?;
     output.text(facts(&device).plain_body())?;
@@ -45,7 +45,7 @@ pub(super) fn run(args: &InfoArgs, output: &mut Output<'_>) -> Result<Exit, CliE
     output.line("")?;
     output.line(format!("{STRONG}clock{STRONG:#}"))?;
     output.text(clock(&time).plain_body())?;
-    Ok(Exit::Ok)
+    scanned.finish(Exit::Ok)
 }
 
 /// Lines of a name and a value.

@@ -8,7 +8,7 @@
 use super::{CliError, Exit, Output, key};
 use crate::core::EventKind;
 use crate::error::{NetworkError, OpenError};
-use crate::link::{Key, LinkError, LinkOptions, LinkSpec, SerialTarget, Target, found};
+use crate::link::{Key, LinkError, LinkOptions, LinkSpec, found};
 use crate::network::NetworkSpec;
 use crate::session::{OpenOptions, Session};
 use clap::Args;
@@ -106,8 +106,7 @@ impl LinkArgs {
     fn expanded(&self) -> Result<Vec<NetworkSpec>, CliError> {
         let given = self.specs()?;
         if given.is_empty() {
-            let any = LinkSpec { target: Target::Serial { target: SerialTarget::Known, baud: 0 }, check: None };
-            let any = "serial".parse().unwrap_or(any);
+            let Ok(any) = "serial".parse::<LinkSpec>() else { return Err(nothing_plugged()) };
             // What comes back unchanged stands for a device that is not there.
             let plugged: Vec<_> = found(&any).into_iter().filter(|spec| *spec != any).map(NetworkSpec::Link).collect();
             return if plugged.is_empty() { Err(nothing_plugged()) } else { Ok(plugged) };

@@ -40,7 +40,7 @@ struct Comparison<'a> {
 pub(super) fn run(args: &MapArgs, output: &mut Output<'_>) -> Result<Exit, CliError> {
     // Read first: who gave a wrong file need not wait for a scan.
     let before = args.compare.as_deref().map(load).transpose()?;
-    let scanned = Scanned::open(&args.links, output)?;
+    let mut scanned = Scanned::open(&args.links, output)?;
     let exit = if let Some(before) = &before {
         compare(before, &scanned.map, output)?
     } else {
@@ -52,7 +52,7 @@ pub(super) fn run(args: &MapArgs, output: &mut Output<'_>) -> Result<Exit, CliEr
         std::fs::write(file, text).map_err(|error| CliError::file(file, "write the map", &error))?;
         output.say(format!("The map is in {}.", file.display()));
     }
-    Ok(exit)
+    scanned.finish(exit)
 }
 
 /// A map that was saved, by itself or within the document of a scan.

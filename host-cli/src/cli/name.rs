@@ -51,9 +51,8 @@ pub(super) fn run(args: &NameArgs, output: &mut Output<'_>) -> Result<Exit, CliE
     let now = scanned.session.name(&to).map_err(|error| scanned.failed(&error))?.value.as_str().to_owned();
     if output.json() {
         let before = args.new.is_some().then(|| device.name.clone());
-        return output
-            .document("name", &Document { device: DeviceId { name: now, ..DeviceId::from(&device) }, before })
-            .map(|()| Exit::Ok);
+        output.document("name", &Document { device: DeviceId { name: now, ..DeviceId::from(&device) }, before })?;
+        return scanned.finish(Exit::Ok);
     }
     match &args.new {
         None => output.line(printable(&now))?,
@@ -67,7 +66,7 @@ pub(super) fn run(args: &NameArgs, output: &mut Output<'_>) -> Result<Exit, CliE
             args.links.command(&format!("name {} {}", other.route(), quoted(&format!("{now} 2"))))
         ));
     }
-    Ok(Exit::Ok)
+    scanned.finish(Exit::Ok)
 }
 
 #[cfg(test)]

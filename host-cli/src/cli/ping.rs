@@ -3,6 +3,7 @@
 use super::devices::{DeviceId, Scanned};
 use super::links::LinkArgs;
 use super::output::{BAD, FAINT, printable};
+use super::progress::Progress;
 use super::{CliError, Exit, Output};
 use crate::ping::{PingOptions, PingReport, PingResult};
 use clap::Args;
@@ -48,12 +49,16 @@ pub(super) fn run(args: &PingArgs, output: &mut Output<'_>) -> Result<Exit, CliE
     let options = PingOptions { count: args.count, interval, query: Query::TimeControl };
     let mut round_trips = Vec::new();
     let mut written = Ok(());
+    // Lines of text are progress enough.
+    let progress = output.json().then(|| Progress::bar(output, "pinging", u64::from(args.count)));
     let report = scanned.session.ping(&to, &options, &mut |number, result| {
+        progress.iter().for_each(Progress::step);
         round_trips.push(micros(result));
         if !output.json() && written.is_ok() {
             written = output.line(line(number, result)).and_then(|()| output.flush());
         }
     });
+    drop(progress);
     written?;
     let report = report.map_err(|error| scanned.failed(&error))?;
     if output.json() {
@@ -62,7 +67,7 @@ pub(super) fn run(args: &PingArgs, output: &mut Output<'_>) -> Result<Exit, CliE
     } else {
         summary(&printable(&device.label()), &report, output)?;
     }
-    ended(&report, &device, args, &scanned)
+    ended(&report, &device, args, &mut scanned)
 }
 
 fn micros(result: PingResult) -> Option<f64> {
@@ -99,7 +104,7 @@ fn ended(
     report: &PingReport,
     device: &crate::map::Device,
     args: &PingArgs,
-    scanned: &Scanned<'_>,
+    scanned: &mut Scanned<'_>,
 ) -> Result<Exit, CliError> {
     if report.lost == report.sent {
         let what = format!("{} answered none of {} questions", printable(&device.label()), report.sent);
@@ -110,5 +115,5 @@ fn ended(
         };
         return Err(CliError::new(Exit::NoAnswer, what, place, next));
     }
-    Ok(if report.lost > 0 { Exit::Differs } else { Exit::Ok })
+    scanned.finish(if report.lost > 0 { Exit::Differs } else { Exit::Ok })
 }

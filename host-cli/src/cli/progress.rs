@@ -50,11 +50,6 @@ impl Progress {
     pub fn step(&self) {
         self.0.inc(1);
     }
-
-    /// Takes it away while `work` writes to the same terminal.
-    pub fn aside<T>(&self, work: impl FnOnce() -> T) -> T {
-        self.0.suspend(work)
-    }
 }
 
 impl Drop for Progress {

@@ -53,7 +53,10 @@ pub(super) fn run(args: &ScanArgs, output: &mut Output<'_>) -> Result<Exit, CliE
     } else {
         tree(&scanned.map, &scanned.cost, scanned.session.network().is_simulated(), output)?;
     }
-    if args.watch { watch(args, &mut scanned, output) } else { Ok(Exit::Ok) }
+    if args.watch {
+        watch(args, &mut scanned, output)?;
+    }
+    scanned.finish(Exit::Ok)
 }
 
 /// The tree, what it took to find it, and what was odd.
@@ -91,7 +94,7 @@ pub(super) fn findings(map: &NetworkMap, output: &mut Output<'_>) {
 }
 
 /// Tells changes until there is no time left.
-fn watch(args: &ScanArgs, scanned: &mut Scanned<'_>, output: &mut Output<'_>) -> Result<Exit, CliError> {
+fn watch(args: &ScanArgs, scanned: &mut Scanned<'_>, output: &mut Output<'_>) -> Result<(), CliError> {
     let until = Until::new(args.watch_for);
     output.say("Watching; Ctrl-C ends it.");
     output.flush()?;
@@ -106,7 +109,7 @@ fn watch(args: &ScanArgs, scanned: &mut Scanned<'_>, output: &mut Output<'_>) ->
             None => !until.pause(LOOK_EVERY),
         };
         if is_over {
-            return Ok(Exit::Ok);
+            return Ok(());
         }
         if !has_changed(scanned, &args.links)? {
             continue;
