@@ -8,9 +8,10 @@ use osap_protocol::{BusDrop, RouteBuf, Step};
 use osap_runtime::sequenced::Destination;
 use osap_sim::device::SimDevice;
 use osap_sim::machines::printer::{self, HOST_GATEWAYS, HUB_PROCESSOR, Printer, TABLE_2_7};
-use osap_sim::machines::{RP2040_200_MHZ, UART, USB_HIGH_SPEED, shapes};
+use osap_sim::machines::shapes::{self, Shape};
+use osap_sim::machines::{RP2040_200_MHZ, UART, USB_HIGH_SPEED};
 use osap_sim::processor::Processor;
-use osap_sim::world::{LinkModel, World};
+use osap_sim::world::{LinkModel, NodeId, World};
 use std::collections::{BTreeMap, BTreeSet};
 
 fn printer(seed: u64) -> (World, Printer) {
@@ -80,30 +81,42 @@ fn a_round_trip_of_the_printer_is_the_sum_of_its_parts() {
     assert!(mean.abs_diff(125 << 8) < 13 << 8, "{mean}");
 }
 
-/// A network is connected, has loops, and leaves gateway 0 of its first node free.
+/// Nodes that links join to the first one.
+fn reachable(world: &World, shape: &Shape) -> usize {
+    let mut wired: BTreeMap<NodeId, Vec<NodeId>> = BTreeMap::new();
+    for link in &shape.links {
+        let [a, b] = world.ends(*link);
+        wired.entry(a.0).or_default().push(b.0);
+        wired.entry(b.0).or_default().push(a.0);
+    }
+    let mut known = BTreeSet::from([shape.nodes[0]]);
+    let mut frontier = vec![shape.nodes[0]];
+    while let Some(node) = frontier.pop() {
+        frontier.extend(wired.get(&node).into_iter().flatten().copied().filter(|other| known.insert(*other)));
+    }
+    known.len()
+}
+
+/// Without extra links a network is a tree: one link less than nodes, and all joined.
+#[test]
+fn a_random_network_without_extra_links_is_a_tree() {
+    let mut world = World::new(6);
+    let shape = shapes::network(&mut world, 300, 0);
+    assert_eq!((shape.links.len(), reachable(&world, &shape)), (299, 300));
+}
+
+/// With extra links it has loops; gateway 0 of its first node stays free; neighbours find each other.
 #[test]
 fn a_random_network_is_connected_and_has_loops() {
     let mut world = World::new(5);
     let shape = shapes::network(&mut world, 1_000, 300);
-    assert_eq!(shape.nodes.len(), 1_000);
     assert!(shape.links.len() > 1_200 && shape.links.len() <= 1_299);
-    let mut known = BTreeSet::from([shape.nodes[0]]);
-    let mut frontier = vec![shape.nodes[0]];
-    let mut wired: BTreeMap<_, Vec<_>> = BTreeMap::new();
-    for link in &shape.links {
-        let [a, b] = world.ends(*link);
-        assert_ne!(a.0, b.0);
-        assert!(a != (shape.nodes[0], gateway(0)) && b != (shape.nodes[0], gateway(0)));
-        wired.entry(a.0).or_default().push(b.0);
-        wired.entry(b.0).or_default().push(a.0);
-    }
-    while let Some(node) = frontier.pop() {
-        frontier.extend(wired[&node].iter().copied().filter(|other| known.insert(*other)));
-    }
-    assert_eq!(known.len(), 1_000);
+    assert_eq!(reachable(&world, &shape), 1_000);
     world.run_for(us(50_000));
     for link in &shape.links {
-        let [(node, at), (other, _)] = world.ends(*link);
+        let [(node, at), (other, back)] = world.ends(*link);
+        assert_ne!(node, other);
+        assert!([(node, at), (other, back)].iter().all(|end| *end != (shape.nodes[0], gateway(0))));
         let neighbour = world.endpoint::<SimDevice>(node).unwrap().node().gateway(at).unwrap().neighbour();
         let id = world.endpoint::<SimDevice>(other).unwrap().node().identity().unique_id;
         assert_eq!(neighbour.unwrap().unique_id, id);

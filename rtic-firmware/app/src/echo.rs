@@ -14,9 +14,10 @@ use osap_runtime::{Delivery, Mailbox, Outbound};
 /// Time to live of the segments of a message that goes back, µs, `[APP-04]`.
 pub const ECHO_TTL_US: u16 = 50_000;
 
-/// Who sent the message that goes back.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Who sent the message that goes back: ports and numbers alone are the same on many nodes.
+#[derive(Clone, Debug, PartialEq, Eq)]
 struct Asker {
+    back: RouteBuf,
     port: PortIndex,
     message: u8,
 }
@@ -77,30 +78,27 @@ impl<const MESSAGE_BYTES: usize> Echo<MESSAGE_BYTES> {
 
     fn accept_segment(&mut self, node: &mut impl Mailbox, delivery: Delivery, packet_bytes_max: u16, now: LocalTicks) {
         let header = SegmentHeader::parse(node.payload(&delivery)).map(|(header, _)| header);
-        if let (Ok(SegmentHeader::Data { message, .. }), Some((asker, _))) = (header, &self.sending)
-            && *asker != (Asker { port: delivery.source, message })
+        let (port, back) = (delivery.port, route_back(node, &delivery));
+        let asker = match header {
+            Ok(SegmentHeader::Data { message, .. }) => Some(Asker { back, port: delivery.source, message }),
+            _ => None,
+        };
+        if let (Some(asker), Some((served, _))) = (&asker, &self.sending)
+            && asker != served
         {
             // `[APP-04]`: the outbox is not free
             let mut out = [0; SegmentHeader::LEN_MAX];
-            let len = SegmentHeader::Refuse { message, reason: SegmentRefusal::Busy }.encode(&mut out);
+            let len = SegmentHeader::Refuse { message: asker.message, reason: SegmentRefusal::Busy }.encode(&mut out);
             let _counted = node.reply(delivery, &[&out[..len]], now);
             return;
         }
-        let (port, source) = (delivery.port, delivery.source);
         // a sender may name a larger packet size than this node's own packets have
         let mtu_bytes = delivery.mtu_bytes.min(packet_bytes_max);
-        let back = route_back(node, &delivery);
         match self.receiver.accept(node, delivery, now) {
             Received::Whole => {
-                let Ok(SegmentHeader::Data { message, .. }) = header else { return };
-                let to = Outbound {
-                    route: back.as_route(),
-                    mtu_bytes,
-                    ttl_us: ECHO_TTL_US,
-                    destination: source,
-                    transport: Transport::Segmented,
-                };
-                self.send_back(Asker { port: source, message }, port, &to, now);
+                if let Some(asker) = asker {
+                    self.send_back(asker, port, mtu_bytes, now);
+                }
             }
             Received::ForSender(header) => {
                 if !self.sending.as_mut().is_some_and(|(_, sender)| sender.accept(header, now)) {
@@ -112,13 +110,20 @@ impl<const MESSAGE_BYTES: usize> Echo<MESSAGE_BYTES> {
     }
 
     /// Begins to send the message just received back, `[APP-03]`.
-    fn send_back(&mut self, asker: Asker, port: PortIndex, to: &Outbound<'_>, now: LocalTicks) {
+    fn send_back(&mut self, asker: Asker, port: PortIndex, mtu_bytes: u16, now: LocalTicks) {
         self.outbox.clear();
         // as long as the receiver's own buffer, so it always fits
         let fits = self.outbox.extend_from_slice(self.receiver.message());
         debug_assert!(fits.is_ok());
+        let to = Outbound {
+            route: asker.back.as_route(),
+            mtu_bytes,
+            ttl_us: ECHO_TTL_US,
+            destination: asker.port,
+            transport: Transport::Segmented,
+        };
         // what came in segments by this route's packets can go back by them
-        let sender = Sender::new(port, to, asker.message, self.outbox.len(), now);
+        let sender = Sender::new(port, &to, asker.message, self.outbox.len(), now);
         self.sending = sender.ok().map(|sender| (asker, sender));
     }
 }
