@@ -438,8 +438,8 @@ fn boxed_node(identity: &HostIdentity) -> (Box<HostNode>, [PortIndex; 2]) {
     };
     std::thread::scope(|scope| {
         let maker = std::thread::Builder::new().name("osap-core".into()).stack_size(16 << 20);
-        let made = maker.spawn_scoped(scope, make).expect("the system has memory for one more thread");
-        made.join().expect("making a node does not panic")
+        let thread = maker.spawn_scoped(scope, make).expect("the system has memory for one more thread");
+        thread.join().expect("making a node does not panic")
     })
 }
 

@@ -127,7 +127,7 @@ impl Session {
     #[must_use]
     pub fn destination(&self, route: &RouteText) -> Destination {
         let mtu_bytes = self.known.get(route).map_or(MTU_DEFAULT_BYTES, |known| known.mtu_bytes);
-        Destination { route: route.0.clone(), mtu_bytes, ttl_us: TTL_DEFAULT_US, port: PortIndex::NETRESPONDER }
+        Destination { route: route.to_buf(), mtu_bytes, ttl_us: TTL_DEFAULT_US, port: PortIndex::NETRESPONDER }
     }
 
     /// Port 0 of a device of the map, by its first route.
@@ -140,7 +140,7 @@ impl Session {
     /// A destination as errors call it.
     #[must_use]
     pub fn place(&self, to: &Destination) -> Place {
-        let route = RouteText(to.route.clone());
+        let route = RouteText::from(to.route.clone());
         Place { name: self.known.get(&route).map(|known| known.name.clone()), route }
     }
 
@@ -237,7 +237,7 @@ impl Session {
 
     /// The destination with a time to live that can work for bodies of these lengths, where a map told of its wires.
     fn budgeted(&self, to: &Destination, request_bytes: usize, reply_bytes: usize) -> Result<Destination, AskError> {
-        let Some(known) = self.known.get(&RouteText(to.route.clone())) else { return Ok(to.clone()) };
+        let Some(known) = self.known.get(&RouteText::from(to.route.clone())) else { return Ok(to.clone()) };
         let ttl_us = known
             .budget
             .ttl_us(request_bytes, reply_bytes)

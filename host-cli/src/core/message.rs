@@ -46,19 +46,13 @@ struct Active {
 }
 
 /// The message under way, if any, and what comes back.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Exchange {
     active: Option<Active>,
     receiver: Box<Receiver<MESSAGE_BYTES_MAX>>,
     outcome: Option<MessageOutcome>,
     /// Number of the next message, so that a late acknowledgement of the one before counts for nothing.
     number: u8,
-}
-
-impl Default for Exchange {
-    fn default() -> Self {
-        Self { active: None, receiver: Box::default(), outcome: None, number: 0 }
-    }
 }
 
 impl Exchange {

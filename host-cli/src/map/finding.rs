@@ -92,10 +92,12 @@ impl Finding {
     pub(crate) fn renumbered(mut self, new: &[usize]) -> Self {
         match &mut self {
             Self::DuplicateName { devices, .. } | Self::DuplicateUniqueId { devices, .. } => {
-                devices.iter_mut().for_each(|device| *device = new[*device]);
+                for device in devices.iter_mut() {
+                    *device = new[*device];
+                }
                 devices.sort_unstable();
             }
-            Self::PacketSizes { devices, .. } => devices.iter_mut().for_each(|device| *device = new[*device]),
+            Self::PacketSizes { devices, .. } => *devices = devices.map(|device| new[device]),
             Self::Restarted { device, .. }
             | Self::Changed { device }
             | Self::FellSilent { device }

@@ -23,7 +23,8 @@ use std::str::FromStr;
 
 /// A route with a text. Shorter ones come first in order; of one length, the one with the smaller steps.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
-pub struct RouteText(pub RouteBuf);
+// boxed, since a route has room for 250 bytes and most have five; errors and findings carry one
+pub struct RouteText(Box<RouteBuf>);
 
 /// Why a text is no route.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -60,6 +61,12 @@ impl RouteText {
         self.0.as_route()
     }
 
+    /// The same as a route of its own.
+    #[must_use]
+    pub fn to_buf(&self) -> RouteBuf {
+        (*self.0).clone()
+    }
+
     /// How many steps it has.
     #[must_use]
     pub fn steps(&self) -> usize {
@@ -69,7 +76,7 @@ impl RouteText {
 
 impl From<RouteBuf> for RouteText {
     fn from(route: RouteBuf) -> Self {
-        Self(route)
+        Self(Box::new(route))
     }
 }
 
@@ -114,13 +121,13 @@ impl FromStr for RouteText {
         let steps = text.strip_prefix('/').ok_or_else(|| RouteTextError::NoSlash { text: text.to_owned() })?;
         let mut route = RouteBuf::new();
         if steps.is_empty() {
-            return Ok(Self(route));
+            return Ok(route.into());
         }
         for part in steps.split('/') {
             let wrong = || RouteTextError::Step { text: text.to_owned(), step: part.to_owned() };
             route.push(step(part).ok_or_else(wrong)?).map_err(|_| RouteTextError::TooLong)?;
         }
-        Ok(Self(route))
+        Ok(route.into())
     }
 }
 
@@ -188,7 +195,7 @@ mod tests {
                 let gateway = GatewayIndex::new(gateway).unwrap();
                 route.push(drop.map_or(Step::Link(gateway), |drop| Step::Bus { gateway, drop: BusDrop(drop) })).unwrap();
             }
-            let route = RouteText(route);
+            let route = RouteText::from(route);
             prop_assert_eq!(route.to_string().parse(), Ok(route));
         }
 

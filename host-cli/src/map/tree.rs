@@ -35,7 +35,7 @@ impl NetworkMap {
         for (parent, device) in self.devices.iter().enumerate() {
             for (step, child) in self.exits(parent) {
                 let label = step_text(step).trim_start_matches('/').to_owned();
-                let on_first_route = device.route().0.with(step).ok().map(RouteText);
+                let on_first_route = device.route().to_buf().with(step).ok().map(RouteText::from);
                 let branch = match child {
                     Exit::Silent(place) => {
                         let expected = self.silent[place].neighbour.map_or_else(String::new, short_id);

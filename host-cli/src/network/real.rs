@@ -60,7 +60,7 @@ impl RealNetwork {
     /// [`OpenError`] for what no waiting can mend.
     pub fn open(specs: &[LinkSpec], options: &OpenOptions) -> Result<Self, OpenError> {
         let clock = Clock::new();
-        let mut opening = Opening::new(clock, host_identity(options.name.as_deref()));
+        let mut opening = Opening::new(clock, &host_identity(options.name.as_deref()));
         opening.capture = options.capture.as_deref().map(LinkCapture::create).transpose()?;
         for spec in specs {
             opening.add(spec.to_string(), |gateway, events, clock| {
@@ -79,7 +79,7 @@ impl RealNetwork {
     where
         F: FnMut(&str, GatewayIndex, SyncSender<(GatewayIndex, LinkEvent)>, &Clock) -> Result<LinkHandle, OpenError>,
     {
-        let mut opening = Opening::new(clock, host_identity(None));
+        let mut opening = Opening::new(clock, &host_identity(None));
         for name in names {
             opening.add((*name).to_owned(), |gateway, events, clock| open(name, gateway, events, clock))?;
         }
@@ -136,9 +136,9 @@ struct Opening {
 }
 
 impl Opening {
-    fn new(clock: Clock, identity: HostIdentity) -> Self {
+    fn new(clock: Clock, identity: &HostIdentity) -> Self {
         let (events, inbox) = sync_channel(EVENTS_MAX);
-        let core = HostCore::new(&identity);
+        let core = HostCore::new(identity);
         Self { clock, core, handles: Vec::new(), names: Vec::new(), events, inbox, capture: None }
     }
 

@@ -63,7 +63,7 @@ impl Scanner<'_> {
     /// Puts devices in order of their first routes; returns the new number of each old one.
     fn renumber(&mut self) -> Vec<usize> {
         let mut order: Vec<usize> = (0..self.found.len()).collect();
-        order.sort_by_key(|device| RouteText(self.found[*device].way.route.clone()));
+        order.sort_by_key(|device| RouteText::from(self.found[*device].way.route.clone()));
         let mut new = vec![0; order.len()];
         for (place, device) in order.iter().enumerate() {
             new[*device] = place;
@@ -91,7 +91,7 @@ impl Scanner<'_> {
                 device: *device,
                 gateway: *gateway,
                 neighbour: *neighbour,
-                route: RouteText(route.clone()),
+                route: RouteText::from(route.clone()),
                 tries: *tries,
             })
             .collect();
@@ -171,7 +171,7 @@ impl Scanner<'_> {
     fn add_routes(&self, map: &mut NetworkMap) {
         let first: Vec<RouteBuf> = self.found.iter().map(|found| found.way.route.clone()).collect();
         let mut routes: Vec<BTreeSet<RouteText>> =
-            first.iter().map(|route| BTreeSet::from([RouteText(route.clone())])).collect();
+            first.iter().map(|route| BTreeSet::from([RouteText::from(route.clone())])).collect();
         let mut add = |from: usize, step: Step, to: usize| {
             // not through the device itself
             let passes = !first[to].as_route().bytes().is_empty() && starts_with(&first[from], &first[to]);
@@ -179,7 +179,7 @@ impl Scanner<'_> {
                 && !passes
                 && let Ok(route) = first[from].with(step)
             {
-                routes[to].insert(RouteText(route));
+                routes[to].insert(route.into());
             }
         };
         for edge in &self.edges {

@@ -181,7 +181,7 @@ impl<'a> Scanner<'a> {
                 break;
             }
         }
-        let cost = cost(before.1, &self.network.statistics()?, self.network.now().since(before.0));
+        let cost = cost(&before.1, &self.network.statistics()?, self.network.now().since(before.0));
         Ok(ScanReport { map: self.assemble(), cost })
     }
 
@@ -191,7 +191,7 @@ impl<'a> Scanner<'a> {
             self.read(&layer)?;
             let mut candidates = self.follow_links(&layer);
             candidates.extend(self.follow_buses(&layer)?);
-            candidates.sort_by(|a, b| RouteText(a.route.clone()).cmp(&RouteText(b.route.clone())));
+            candidates.sort_by_key(|way| RouteText::from(way.route.clone()));
             layer = self.visit(candidates)?;
         }
         Ok(())
@@ -204,7 +204,7 @@ fn scan_number(host: UniqueId, now: LocalTicks) -> u32 {
     bytes.fold(0x811c_9dc5, |hash: u32, byte| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193)).max(1)
 }
 
-fn cost(before: Statistics, after: &Statistics, elapsed: Span) -> ScanCost {
+fn cost(before: &Statistics, after: &Statistics, elapsed: Span) -> ScanCost {
     ScanCost {
         requests: after.requests - before.requests,
         retries: after.retries - before.retries,

@@ -92,9 +92,11 @@ impl Scanner<'_> {
         let found = &mut self.found[device];
         match what {
             What::TypeName => {
-                found.type_name = read::<Name>(Query::TypeName, bytes).map(|name| name.as_str().to_owned())
+                found.type_name = read::<Name>(Query::TypeName, bytes).map(|name| name.as_str().to_owned());
             }
-            What::Name => found.name = read::<Name>(Query::RuntimeName, bytes).map(|name| name.as_str().to_owned()),
+            What::Name => {
+                found.name = read::<Name>(Query::RuntimeName, bytes).map(|name| name.as_str().to_owned());
+            }
             What::Link(index) => {
                 if let Some(place) = found.links.get_mut(usize::from(index)) {
                     *place = read::<LinkInfo>(Query::LinkInfo, bytes);

@@ -10,7 +10,7 @@ use super::read::{payload, read};
 use super::{ROUNDS, ScanPhase, Scanner};
 use crate::core::Outcome;
 use crate::error::NetworkError;
-use crate::map::{Finding, RouteText};
+use crate::map::Finding;
 use crate::session::Question;
 use osap_protocol::discovery::{GatewayKind, LinkInfo, Neighbour, Query, RuntimeInfo, ScanId};
 use osap_protocol::{GatewayIndex, Step};
@@ -95,13 +95,11 @@ impl Scanner<'_> {
     ) -> Result<Vec<Visit>, NetworkError> {
         let mut visits = Vec::new();
         for way in candidates {
-            match self.visits.begin() {
-                Some(id) => visits.push(Visit { way, id, info: None, tries: 0 }),
-                None => {
-                    self.findings.insert(Finding::Limit { what: "a scan has 65535 visits".to_owned() });
-                    break;
-                }
-            }
+            let Some(id) = self.visits.begin() else {
+                self.findings.insert(Finding::Limit { what: "a scan has 65535 visits".to_owned() });
+                break;
+            };
+            visits.push(Visit { way, id, info: None, tries: 0 });
         }
         for round in 0..ROUNDS {
             let is_open = |visit: &Visit| visit.info.is_none() && (round == 0 || visit.way.is_certain);
@@ -207,7 +205,7 @@ impl Scanner<'_> {
                 is_certain,
             }),
             Err(slow) => {
-                self.findings.insert(Finding::TooSlow { device, route: RouteText(route), need_us: slow.need_us });
+                self.findings.insert(Finding::TooSlow { device, route: route.into(), need_us: slow.need_us });
                 None
             }
         }

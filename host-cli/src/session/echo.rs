@@ -32,7 +32,9 @@ impl Session {
     /// # Errors
     /// [`AskError`].
     pub fn echo(&mut self, to: &Destination, transport: Transport, payload: &[u8]) -> Result<Echo, AskError> {
-        let to = self.budgeted(to, payload.len(), payload.len())?;
+        // a long message goes in packets of the route's size
+        let packet_bytes = payload.len().min(usize::from(to.mtu_bytes));
+        let to = self.budgeted(to, packet_bytes, packet_bytes)?;
         let to = Destination { port: ECHO_PORT, ..to };
         match transport {
             Transport::Datagram => self.echo_datagram(&to, payload),

@@ -33,6 +33,8 @@ pub struct DebugLog {
     pub first: u32,
     /// Cursor to go on from later.
     pub next: u32,
+    /// Events between the two that made way for newer ones while they were read.
+    pub missed: u32,
     /// What the device writes down at present.
     pub verbosity: Verbosity,
     /// The events, oldest first.
@@ -50,7 +52,7 @@ pub struct Counter {
     pub value: u32,
 }
 
-/// Pages read in a row at most: a device that goes on writing shall not keep us for ever.
+/// Pages read in a row at most: no answer shall keep us for ever.
 const PAGES_MAX: usize = 64;
 
 impl Session {
@@ -105,18 +107,24 @@ impl Session {
         self.ask(to, Query::PortInfo, &port)
     }
 
-    /// Its debug events from number `cursor` on, to the end, `[DSC-06]`.
+    /// Its debug events from number `cursor` on, to the one that was the newest when it was first asked, `[DSC-06]`: a device that
+    /// writes down every packet writes down our questions too, and faster than they read.
     ///
     /// # Errors
     /// [`AskError`].
     pub fn debug_log(&mut self, to: &Destination, cursor: u32) -> Result<DebugLog, AskError> {
         let mut page = self.ask::<_, DebugPage>(to, Query::DebugMessages, &cursor)?.value;
-        let mut log = DebugLog { first: page.first, next: page.next, verbosity: page.verbosity, events: Vec::new() };
+        let (first, end) = (page.first, page.end);
+        let mut log = DebugLog { first, next: first, missed: 0, verbosity: page.verbosity, events: Vec::new() };
+        // numbers wrap: what counts is how far they are from the first
+        let place = |number: u32| number.wrapping_sub(first);
         for _ in 0..PAGES_MAX {
-            log.events.extend(page.events.iter().cloned());
-            log.next = page.next;
-            log.verbosity = page.verbosity;
-            if page.next == page.end || page.events.is_empty() {
+            log.missed += place(page.first).saturating_sub(place(log.next)).min(place(end) - place(log.next));
+            let numbers = (0..).map(|n| page.first.wrapping_add(n));
+            let wanted = numbers.zip(&page.events).filter(|(number, _)| place(*number) < place(end));
+            log.events.extend(wanted.map(|(_, event)| event.clone()));
+            log.next = if place(page.next) < place(end) { page.next } else { end };
+            if log.next == end || page.events.is_empty() {
                 break;
             }
             page = self.ask::<_, DebugPage>(to, Query::DebugMessages, &log.next)?.value;

@@ -4,7 +4,7 @@ use super::support::{findings, found_ids, ids, scan, scan_again};
 use firmware_app::kind;
 use fixed_math::time::Span;
 use osap::map::{Change, Finding, LeadsTo, ResolveError, diff};
-use osap::network::{Network, SimNetwork};
+use osap::network::SimNetwork;
 use osap::session::Session;
 use osap_protocol::GatewayIndex;
 use osap_protocol::discovery::UniqueId;
