@@ -132,8 +132,13 @@ impl LinkArgs {
                 *known = format!("{}: {reason}", local.link_names[index]);
             }
         }
-        let next =
-            "check that the device is powered and plugged in, or that its simulator runs; `osap demo` needs neither";
+        let next = match &self.key {
+            Some(key) => format!("check that the other end runs, and that it has the key in {} too", key.display()),
+            None => {
+                "check that the device is powered and plugged in, or that its simulator runs; `osap demo` needs neither"
+                    .to_owned()
+            }
+        };
         Err(CliError::new(Exit::NoLink, "no link could be opened", reasons.join("; "), next))
     }
 

@@ -90,6 +90,7 @@ pub(super) fn run(args: &SimArgs, output: &mut Output<'_>) -> Result<Exit, CliEr
         names.into_iter().zip(dialled(&args.listen, &offer.names())).map(with_link).collect();
     announce(args, seed, &endpoints, output)?;
     offer.run(&until, output);
+    offer.sum_up(output);
     Ok(Exit::Ok)
 }
 
@@ -139,7 +140,8 @@ fn dialled(listen: &LinkSpec, names: &[String]) -> Vec<String> {
     };
     let one = |name: &String| match name.strip_prefix("pty:") {
         Some(device) => format!("serial:{device}{check}"),
-        None => format!("{name}{check}"),
+        // Whoever listens on all addresses is found on this computer's own.
+        None => format!("{}{check}", name.replace(":0.0.0.0:", ":127.0.0.1:").replace(":[::]:", ":[::1]:")),
     };
     names.iter().map(one).collect()
 }
@@ -174,5 +176,7 @@ mod tests {
         let dialled = dialled(&listen, &["pty:/dev/pts/3".to_owned()]);
         assert_eq!(dialled, ["serial:/dev/pts/3,check=crc32"]);
         assert!(dialled[0].parse::<LinkSpec>().is_ok());
+        let listen: LinkSpec = "tcp:0.0.0.0:4100".parse().unwrap();
+        assert_eq!(super::dialled(&listen, &[listen.to_string()]), ["tcp:127.0.0.1:4100"]);
     }
 }

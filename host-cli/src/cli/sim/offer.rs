@@ -11,8 +11,9 @@ use crate::cli::Output;
 use crate::cli::wait::Until;
 use crate::link::{Clock, LinkError, LinkEvent, LinkHandle, LinkOptions, LinkSpec, listen};
 use fixed_math::time::Span;
-use osap_protocol::GatewayIndex;
+use osap_protocol::{DropCause, GatewayIndex};
 use osap_sim::time::TrueTime;
+use std::collections::BTreeMap;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::time::Duration;
 
@@ -37,6 +38,8 @@ pub(super) struct Offer {
 struct End {
     handle: LinkHandle,
     clear_to_send: bool,
+    /// What its frames and peers were dropped for.
+    dropped: BTreeMap<DropCause, u32>,
 }
 
 impl Offer {
@@ -48,7 +51,7 @@ impl Offer {
         for (index, spec) in (0..).zip(specs) {
             let gateway = GatewayIndex::from_low_bits(index);
             let handle = listen(spec, gateway, sender.clone(), &clock, options)?;
-            ends.push(End { handle, clear_to_send: false });
+            ends.push(End { handle, clear_to_send: false, dropped: BTreeMap::new() });
         }
         Ok(Self { machine, events, ends, clock, left_out: Span::ZERO })
     }
@@ -73,6 +76,15 @@ impl Offer {
                 next = self.events.try_recv().ok();
             }
             self.send();
+        }
+    }
+
+    /// Tells what was dropped while it ran.
+    pub(super) fn sum_up(&self, output: &mut Output<'_>) {
+        for end in &self.ends {
+            for (cause, count) in &end.dropped {
+                output.say(format!("{}: {count} dropped, {}", end.handle.description.name, cause.name()));
+            }
         }
     }
 
@@ -122,7 +134,14 @@ impl Offer {
                 }
             }
             LinkEvent::Sent => end.clear_to_send = true,
-            LinkEvent::Dropped(cause) => output.say(format!("{name}: dropped, {}: {}", cause.name(), cause.meaning())),
+            LinkEvent::Dropped(cause) => {
+                let count = end.dropped.entry(cause).or_default();
+                // Said once: a peer without the key comes back again and again.
+                if *count == 0 {
+                    output.say(format!("{name}: dropped, {}: {}", cause.name(), cause.meaning()));
+                }
+                *count = count.saturating_add(1);
+            }
         }
     }
 
