@@ -11,7 +11,7 @@ use thiserror::Error;
 
 /// Explains a packet or frame byte by byte
 #[derive(Clone, Debug, Args)]
-#[command(after_help = "Examples:\n  osap decode 05 e8 03 40 00 41 c0 18 00 00 2a\n  \
+#[command(after_help = "Examples:\n  osap decode 05 e8 03 40 00 41 c0 18 01 00 2a\n  \
                         osap decode --as frame --check crc32 - < captured.txt")]
 pub struct DecodeArgs {
     /// Bytes as hexadecimal digits, also with 0x, commas or colons; `-` reads them from standard input

@@ -1,6 +1,6 @@
 //! `osap sim MACHINE --listen …`: offers a simulated machine in real time, as hardware would be offered.
 //!
-//! - **Walk:** a machine with a [`bridge`] in the workstation's place → one listening link for each of its links to the workstation → [`offer`] lets
+//! - **Walk:** a machine with a `bridge` in the workstation's place → one listening link for each of its links to the workstation → `offer` lets
 //!   real time pass in the world and carries packets between the two.
 //! - **Invariant:** what is offered is the machine that `--link sim:` scans in virtual time, with the same seed.
 

@@ -312,7 +312,7 @@ pub(crate) fn short_id(id: UniqueId) -> String {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum MapError {
     /// It is not JSON of the right shape.
-    #[error("this is no map: {0}. Make one with `osap scan --json`")]
+    #[error("this is no map: {0}. Make one with `osap map --save FILE`")]
     Json(String),
     /// Another version.
     #[error("the map is of schema {found}, this program reads {SCHEMA}: scan again")]

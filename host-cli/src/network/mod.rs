@@ -1,6 +1,6 @@
 //! Something that carries requests for us, synchronously: over real links, or in a simulated world.
 //!
-//! - **Walk:** a session → [`Network::submit`] → [`HostCore`](crate::core::HostCore), wherever it runs → [`Network::wait`] → the session.
+//! - **Walk:** a session → [`Network::submit`] → [`HostCore`], wherever it runs → [`Network::wait`] → the session.
 //! - **Invariants:** a network has two duties, to let a [`Task`] look at the core after all that happens there, and to know the
 //!   time. All else here is made of these, so that a simulated network cannot behave otherwise than a real one.
 //! - **Context:** the caller's thread. [`real`] runs the core on a thread of its own, [`sim`] on the caller's.

@@ -4,7 +4,7 @@
 //!   to send. The caller hands in one [`Task`] at a time and waits until it is done.
 //! - **Invariants:** bounded channels only. The node's thread waits for nothing but the next event or the core's next wake, never
 //!   longer and never in a loop. Dropping the network ends and joins all threads.
-//! - **Context:** the calls are the caller's thread's; [`Runner`] is the node's.
+//! - **Context:** the calls are the caller's thread's; `Runner` is the node's.
 //! - **Clauses:** `[LNK-01]`, `[NOD-12]`.
 
 use super::capture::LinkCapture;

@@ -1,7 +1,7 @@
 //! Finds what is there: a breadth-first search over nodes, by questions alone.
 //!
-//! - **Walk:** the host itself → layer by layer: [`read`] what its nodes say of themselves → [`buses`] asks who is on their buses →
-//!   [`visit`] goes one step further and tells new nodes from known ones → at last every node is visited once more → [`assemble`]
+//! - **Walk:** the host itself → layer by layer: `read` what its nodes say of themselves → `buses` asks who is on their buses →
+//!   `visit` goes one step further and tells new nodes from known ones → at last every node is visited once more → `assemble`
 //!   makes the map.
 //! - **Invariants:** a layer is visited whole before the next, so that the first path to a node has the fewest steps. Every question is
 //!   bounded in tries and every repetition in rounds: a scan ends, whatever answers. What did not answer is in the map.
