@@ -80,13 +80,13 @@ struct Held {
     remaining: u32,
 }
 
-/// One direction of a faulty link.
+/// One direction of a faulty link, or a bus.
 #[derive(Debug)]
 pub struct FaultLayer {
     config: FaultConfig,
     rng: Pcg64,
     counts: FaultCounts,
-    frames: BTreeMap<Place, Vec<u8>>,
+    frames: BTreeMap<Place, (u32, Vec<u8>)>,
     held: Vec<Held>,
     next_number: u64,
     /// When the last bit of what was offered is out.
@@ -118,6 +118,12 @@ impl FaultLayer {
 
     /// Takes a frame that is handed to the link at `now`.
     pub fn offer(&mut self, now: LocalTicks, bytes: &[u8]) {
+        self.offer_tagged(now, 0, bytes);
+    }
+
+    /// As [`FaultLayer::offer`], with a number that comes out beside the frame and its copies, out of reach of the bit errors: on a
+    /// shared medium, who spoke.
+    pub fn offer_tagged(&mut self, now: LocalTicks, tag: u32, bytes: &[u8]) {
         self.counts.offered += 1;
         if self.frames.len() >= FRAMES_MAX {
             self.counts.overflowed += 1;
@@ -129,13 +135,13 @@ impl FaultLayer {
             return;
         }
         let twice = self.happens(self.config.duplication);
-        self.insert(bytes);
+        self.insert(tag, bytes);
         if twice {
             self.counts.duplicated += 1;
             if self.frames.len() >= FRAMES_MAX {
                 self.counts.overflowed += 1;
             } else {
-                self.insert(bytes);
+                self.insert(tag, bytes);
             }
         }
     }
@@ -148,11 +154,16 @@ impl FaultLayer {
 
     /// The next frame that is due at `now`: by time, equal ones in order of insertion.
     pub fn poll(&mut self, now: LocalTicks) -> Option<Vec<u8>> {
+        self.poll_tagged(now).map(|(_, bytes)| bytes)
+    }
+
+    /// As [`FaultLayer::poll`], with what came in beside the frame.
+    pub fn poll_tagged(&mut self, now: LocalTicks) -> Option<(u32, Vec<u8>)> {
         let first = self.frames.first_entry().filter(|entry| entry.key().0 <= now)?;
         self.counts.delivered += 1;
-        let (place, bytes) = first.remove_entry();
+        let (place, frame) = first.remove_entry();
         self.held.retain(|held| held.place != place);
-        Some(bytes)
+        Some(frame)
     }
 
     /// When the wire is free for a next frame: the last bit of all that was offered is out.
@@ -174,7 +185,7 @@ impl FaultLayer {
     }
 
     /// Steps 5 to 7 for one copy.
-    fn insert(&mut self, bytes: &[u8]) {
+    fn insert(&mut self, tag: u32, bytes: &[u8]) {
         let mut bytes = bytes.to_vec();
         self.flip_bits(&mut bytes);
         let jitter = Span::from_steps(self.draw_up_to(self.config.jitter.steps()));
@@ -183,13 +194,13 @@ impl FaultLayer {
             self.counts.reordered += 1;
             let remaining = self.rng.random_range(1..=OVERTAKEN_MAX);
             let place = self.place(due + HOLD);
-            self.frames.insert(place, bytes);
+            self.frames.insert(place, (tag, bytes));
             self.held.push(Held { place, remaining });
             return;
         }
         self.last_due = due;
         let place = self.place(due);
-        self.frames.insert(place, bytes);
+        self.frames.insert(place, (tag, bytes));
         self.overtake(due);
     }
 
@@ -200,10 +211,10 @@ impl FaultLayer {
             if held.remaining > 0 {
                 self.held.push(held);
             } else if held.place.0 > due
-                && let Some(bytes) = self.frames.remove(&held.place)
+                && let Some(frame) = self.frames.remove(&held.place)
             {
                 let place = self.place(due);
-                self.frames.insert(place, bytes);
+                self.frames.insert(place, frame);
             }
         }
     }
