@@ -29,11 +29,13 @@
 //! assert_eq!(neighbour.unwrap().unique_id, UniqueId([2; 12]));
 //! ```
 
+mod bus;
 mod flights;
 mod queue;
 mod station;
 mod wire;
 
+pub use bus::{BusModel, BusStats};
 pub use station::{Boot, Factory};
 pub use wire::WayStats;
 
@@ -42,16 +44,17 @@ use crate::faults::{FaultConfig, FaultCounts, FaultLayer};
 use crate::processor::Processor;
 use crate::time::{Clock, ClockModel, TrueTime};
 use crate::walk::{WalkEvent, WalkStage};
+use bus::Bus;
 use fixed_math::time::{LocalTicks, Span};
 use flights::Flights;
 use osap_protocol::discovery::GatewayKind;
-use osap_protocol::{BusDrop, GatewayIndex, Packet};
+use osap_protocol::{GatewayIndex, Packet};
 use queue::{Queue, What};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use station::{Attachment, Gate, Station};
 use std::any::Any;
-use wire::{Bus, Link, Outside, Way};
+use wire::{Link, Outside, Way};
 
 /// Longest frame between its delimiters, unstuffed, check included: what a gateway's deframer holds.
 pub const FRAME_BYTES_MAX: usize = 2048;
@@ -98,13 +101,6 @@ impl LinkModel {
     pub const WIRE: Self = Self { latency: Span::ZERO, jitter: Span::ZERO, faults: None };
 }
 
-/// What a bus adds to its gateways' wire time.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct BusModel {
-    /// From a byte's leaving to its arrival.
-    pub latency: Span,
-}
-
 /// What happened so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Stats {
@@ -118,6 +114,8 @@ pub struct Stats {
     pub frames_seen: u64,
     /// Packets handed to nodes.
     pub packets: u64,
+    /// Frames on buses that were for another drop.
+    pub passed_over: u64,
     /// Frames that gave no packet.
     pub frame_errors: u64,
     /// Frames that found their receiver's ring full.
@@ -126,20 +124,20 @@ pub struct Stats {
     pub lost: u64,
 }
 
-/// A packet that begins to leave on a tapped link.
+/// A packet that begins to leave on a tapped link or bus.
 #[derive(Clone, Copy, Debug)]
 pub struct TapEvent<'a> {
     /// When its first byte leaves.
     pub at: TrueTime,
     /// Its sender.
     pub from: NodeId,
-    /// 0 from the link's first end, 1 from its second.
+    /// 0 from the link's first end, 1 from its second; 0 on a bus.
     pub way: usize,
     /// The packet, without framing.
     pub packet: &'a [u8],
 }
 
-/// Sees every packet of a link.
+/// Sees every packet of a link or bus.
 pub type Tap = Box<dyn FnMut(&TapEvent<'_>) + Send>;
 
 /// Real nodes in virtual time.
@@ -220,11 +218,7 @@ impl World {
     pub fn connect(&mut self, a: (NodeId, GatewayIndex), b: (NodeId, GatewayIndex), model: LinkModel) -> LinkId {
         let link = u32::try_from(self.links.len()).expect("fewer than 2^32 links");
         let stream = u64::from(link) * 2;
-        let seed = self.seed;
-        let faults = |way: u64| {
-            let config = model.faults?.for_stream(stream + way);
-            Some(FaultLayer::new(FaultConfig { seed: config.seed ^ seed.rotate_left(32), ..config }))
-        };
+        let faults = |way: u64| self.fault_layer(model.faults, stream + way);
         let ways = [Way::new(b, faults(0)), Way::new(a, faults(1))];
         let LinkModel { latency, jitter, .. } = model;
         self.links.push(Link { latency, jitter, whole: true, epoch: 0, ways, tap: None });
@@ -233,29 +227,6 @@ impl World {
             self.set_open(node, gateway, true);
         }
         LinkId(link)
-    }
-
-    /// Wires gateways to one shared medium and opens them; each has its drop from its configuration.
-    ///
-    /// # Panics
-    /// Where a gateway does not exist, is wired already, is not one for a bus, or has a drop that another has.
-    pub fn bus(&mut self, members: &[(NodeId, GatewayIndex)], model: BusModel) -> BusId {
-        let bus = u32::try_from(self.buses.len()).expect("fewer than 2^32 buses");
-        let mut drops: Vec<(BusDrop, NodeId, GatewayIndex)> = Vec::new();
-        for (node, gateway) in members {
-            let config = self.stations[node.at()].endpoint.gateway_config(*gateway).expect("the gateway exists");
-            let GatewayKind::Bus { drop } = config.kind else { panic!("gateway {} is no bus gateway", gateway.get()) };
-            assert!(drops.iter().all(|other| other.0 != BusDrop(drop)), "drop {drop} is there twice");
-            drops.push((BusDrop(drop), *node, *gateway));
-        }
-        self.buses.push(Bus::new(model.latency, drops.clone()));
-        for (drop, node, gateway) in &drops {
-            self.wire(*node, *gateway, Attachment::Bus { bus, drop: *drop });
-        }
-        for (_, node, gateway) in drops {
-            self.set_open(node, gateway, true);
-        }
-        BusId(bus)
     }
 
     /// Makes a gateway's other end one outside the world, for a caller with a socket; closed until [`World::external_open`].
@@ -349,6 +320,8 @@ impl World {
             What::Wake { node } => self.wake(node),
             What::Faults { link, way } => self.leave_faults(link, way),
             What::BusFree { bus } => self.bus_free(bus),
+            What::BusFaults { bus } => self.leave_bus_faults(bus),
+            What::Hear { bus } => self.heard(bus),
         }
         true
     }
@@ -479,6 +452,12 @@ impl World {
         }
     }
 
+    /// A fault layer that draws from the world's seed, the configuration's and the number of the wire, `[LNK-07]`.
+    fn fault_layer(&self, config: Option<FaultConfig>, stream: u64) -> Option<FaultLayer> {
+        let config = config?.for_stream(stream);
+        Some(FaultLayer::new(FaultConfig { seed: config.seed ^ self.seed.rotate_left(32), ..config }))
+    }
+
     fn wire(&mut self, node: NodeId, gateway: GatewayIndex, attachment: Attachment) {
         let station = &mut self.stations[node.at()];
         assert!(station.gate(gateway).is_none(), "gateway {} is wired already", gateway.get());
@@ -546,6 +525,8 @@ impl World {
             What::Wake { node } => (4, u64::from(node.0)),
             What::Faults { link, way } => (5, u64::from(link) << 8 | u64::from(way)),
             What::BusFree { bus } => (6, u64::from(bus)),
+            What::BusFaults { bus } => (7, u64::from(bus)),
+            What::Hear { bus } => (0, u64::from(bus)),
         };
         self.mix(at.steps());
         self.mix(detail << 3 | kind);

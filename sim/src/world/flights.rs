@@ -1,19 +1,22 @@
 //! Frames between a sender's last byte and a receiver's processor.
 //!
-//! - **Walk:** the wire → [`Flights::launch`] → arrival → the receiver's ring → [`Flights::land`].
+//! - **Walk:** the wire → [`Flights::launch`] → arrival → the receiver's ring → [`Flights::land`]. A frame on a bus is launched by the
+//!   interrupt of each receiver that it is for.
 //! - **Invariant:** a flight lands once; its buffer is used again, so that a long run allocates nothing.
 
 use super::NodeId;
 use crate::time::TrueTime;
-use osap_protocol::GatewayIndex;
+use fixed_math::time::LocalTicks;
+use osap_protocol::{BusDrop, GatewayIndex};
 
 /// What a frame comes over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Over {
     /// A link, as it was when the frame left; a link that was unplugged since is another.
     Link { link: u32, way: u8, epoch: u32 },
-    /// A bus.
-    Bus,
+    /// A bus: its receiver's interrupt has unstuffed and checked it and taken the addresses off; the bytes are the packet. `stamp` is its
+    /// first byte's, by the receiver's counter.
+    Bus { from: BusDrop, stamp: LocalTicks },
     /// From outside the world.
     Outside,
 }

@@ -24,6 +24,10 @@ pub(super) enum What {
     Faults { link: u32, way: u8 },
     /// The last byte of a frame has left a bus.
     BusFree { bus: u32 },
+    /// A bus's fault layer gives out a frame.
+    BusFaults { bus: u32 },
+    /// The last byte of a frame reaches those who listen to a bus.
+    Hear { bus: u32 },
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

@@ -1,13 +1,15 @@
 //! A node's place in the world: its processor, its ring of captured frames, its gateways' wires.
 //!
-//! - **Walk:** captured → ring → job → the endpoint → its gateways.
+//! - **Walk:** captured → ring → job → the endpoint → its gateways. On a bus the interrupt unstuffs, checks and filters by address before
+//!   the ring, so that what is for others takes neither room nor the processor.
 //! - **Invariants:** one job at a time. What is ready to leave goes first (it frees memory); frames that came in and packets for ports
 //!   take turns, so that neither starves the other.
-//! - **Context:** the thread that steps the world. **Clauses:** `[NOD-06]`, `[NOD-08]`, `[FRM-07]`, `[FRM-08]`.
+//! - **Context:** the thread that steps the world. **Clauses:** `[NOD-06]`, `[NOD-08]`, `[FRM-07]`, `[FRM-08]`, `[FRM-10]`.
 
+use super::bus::Heard;
 use super::flights::{Flight, Over};
 use super::queue::What;
-use super::{FRAME_BYTES_MAX, NodeId, World};
+use super::{FRAME_BYTES_MAX, NodeId, World, is_announcement};
 use crate::endpoint::Endpoint;
 use crate::processor::{Processor, RING_FRAMES};
 use crate::time::{Clock, TrueTime};
@@ -244,7 +246,7 @@ impl World {
         let Flight { to, gateway, over, started, cut, quiet, .. } = *self.flights.get(id);
         let broken = match over {
             Over::Link { link, epoch, .. } => self.links[link as usize].epoch != epoch,
-            Over::Bus | Over::Outside => false,
+            Over::Bus { .. } | Over::Outside => false,
         };
         if broken || cut || started < self.stations[to.at()].booted {
             self.lose(id);
@@ -264,6 +266,57 @@ impl World {
         gate.ring_frames += 1;
         station.ring.push_back(id);
         self.attend(to);
+    }
+
+    /// The bytes of a frame on a bus have reached one of those who listen: its interrupt unstuffs and checks them, and keeps what is for
+    /// `own` or for all, `[FRM-10]`.
+    pub(super) fn hear(
+        &mut self,
+        node: NodeId,
+        gateway: GatewayIndex,
+        own: BusDrop,
+        began: TrueTime,
+        bytes: &[u8],
+    ) -> Heard {
+        let mut heard = Heard::default();
+        let Station { endpoint, clock, gates, ring, booted, .. } = &mut self.stations[node.at()];
+        if began < *booted {
+            heard.missed = 1;
+            return heard;
+        }
+        let gate = gates.iter_mut().find(|gate| gate.index == gateway).expect("members are wired");
+        let takes = gate.wire_time(bytes.len());
+        let (local, first_new) = (clock.local(self.now), ring.len());
+        let (flights, ring_frames) = (&mut self.flights, &mut gate.ring_frames);
+        unstuff(&mut gate.deframer, bytes, clock.local(began), takes, |result| match addressed(result) {
+            Ok((to, from, packet, stamp)) if to == own || to == BusDrop::BROADCAST => {
+                heard.taken += 1;
+                if *ring_frames == RING_FRAMES {
+                    heard.overrun += 1;
+                    endpoint.count(DropCause::RxOverrun, Some(gateway), local);
+                    return;
+                }
+                *ring_frames += 1;
+                let mut bytes = flights.buffer();
+                bytes.extend_from_slice(packet);
+                let (over, quiet) = (Over::Bus { from, stamp }, is_announcement(packet));
+                let flight = Flight { to: node, gateway, over, started: began, cut: false, quiet, bytes };
+                ring.push_back(flights.launch(flight));
+            }
+            Ok(_) => heard.passed_over += 1,
+            Err(cause) => {
+                heard.damaged += 1;
+                endpoint.count(cause, Some(gateway), local);
+            }
+        });
+        for at in first_new..self.stations[node.at()].ring.len() {
+            let quiet = self.flights.get(self.stations[node.at()].ring[at]).quiet;
+            self.note(node, WalkStage::Captured, gateway, quiet);
+        }
+        if heard.taken + heard.damaged > 0 {
+            self.attend(node);
+        }
+        heard
     }
 
     fn finish(&mut self, node: NodeId) {
@@ -297,23 +350,25 @@ impl World {
         gate.ring_frames -= 1;
         let (local, started) = (clock.local(now), clock.local(flight.started));
         let len = flight.bytes.len();
-        let byte_steps = gate.wire_time(len).steps() / (len as u64).max(1);
+        let takes = gate.wire_time(len);
         let mut whole = 0u16;
-        for (n, byte) in (0u64..).zip(&flight.bytes) {
-            // the first byte's stamp is exact; a later one matters only where a flipped bit began another frame with it
-            let stamp = started + Span::from_steps(n * byte_steps);
-            let Some(result) = gate.deframer.push(*byte, stamp) else { continue };
-            self.stats.frames_seen += 1;
-            match opened(result, gate.index, gate.config.kind) {
-                Ok((arrival, packet, started)) => {
-                    whole += 1;
-                    endpoint.receive(arrival, packet, started, local);
+        if let Over::Bus { from, stamp } = flight.over {
+            whole += 1;
+            endpoint.receive(Arrival::Bus { gateway: flight.gateway, from }, &mut flight.bytes, stamp, local);
+        } else {
+            unstuff(&mut gate.deframer, &flight.bytes, started, takes, |result| {
+                self.stats.frames_seen += 1;
+                match opened(result, gate.index, gate.config.kind) {
+                    Ok((arrival, packet, started)) => {
+                        whole += 1;
+                        endpoint.receive(arrival, packet, started, local);
+                    }
+                    Err(cause) => {
+                        self.stats.frame_errors += 1;
+                        endpoint.count(cause, Some(gate.index), local);
+                    }
                 }
-                Err(cause) => {
-                    self.stats.frame_errors += 1;
-                    endpoint.count(cause, Some(gate.index), local);
-                }
-            }
+            });
         }
         self.stats.packets += u64::from(whole);
         if whole > 0 {
@@ -386,18 +441,46 @@ impl World {
     }
 }
 
+/// Feeds bytes, of which the first came at `started` and which took `takes` in all, to a deframer, and `each` with what it finds.
+fn unstuff(
+    deframer: &mut Deframer<FRAME_BYTES_MAX>,
+    bytes: &[u8],
+    started: LocalTicks,
+    takes: Span,
+    mut each: impl FnMut(Result<Frame<'_>, FrameError>),
+) {
+    let byte_steps = takes.steps() / (bytes.len() as u64).max(1);
+    for (n, byte) in (0u64..).zip(bytes) {
+        // the first byte's stamp is exact; a later one matters only where a flipped bit began another frame with it
+        if let Some(result) = deframer.push(*byte, started + Span::from_steps(n * byte_steps)) {
+            each(result);
+        }
+    }
+}
+
+/// A deframed packet with the addresses that stood before it on a bus, `[FRM-10]`: for whom, from whom.
+fn addressed(result: Result<Frame<'_>, FrameError>) -> Result<(BusDrop, BusDrop, &mut [u8], LocalTicks), DropCause> {
+    let Frame { packet, started } = result?;
+    match packet {
+        [to, from, packet @ ..] => Ok((BusDrop(*to), BusDrop(*from), packet, started)),
+        _ => Err(DropCause::FrameTooShort),
+    }
+}
+
 /// A deframed packet with how it arrived; on a bus the addresses before it are taken off, `[FRM-10]`.
 fn opened(
     result: Result<Frame<'_>, FrameError>,
     gateway: GatewayIndex,
     kind: GatewayKind,
 ) -> Result<(Arrival, &mut [u8], LocalTicks), DropCause> {
-    let Frame { packet, started } = result?;
     match kind {
-        GatewayKind::Link => Ok((Arrival::Link(gateway), packet, started)),
-        GatewayKind::Bus { .. } => match packet {
-            [_to, from, packet @ ..] => Ok((Arrival::Bus { gateway, from: BusDrop(*from) }, packet, started)),
-            _ => Err(DropCause::FrameTooShort),
-        },
+        GatewayKind::Link => {
+            let Frame { packet, started } = result?;
+            Ok((Arrival::Link(gateway), packet, started))
+        }
+        GatewayKind::Bus { .. } => {
+            let (_to, from, packet, started) = addressed(result)?;
+            Ok((Arrival::Bus { gateway, from }, packet, started))
+        }
     }
 }

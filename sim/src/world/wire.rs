@@ -1,9 +1,9 @@
-//! From a gateway that is clear to send to a frame at its receiver: links, buses, and the world outside.
+//! From a gateway that is clear to send to a frame at its receiver: links and the world outside; buses are [`super::bus`]'s.
 //!
 //! - **Walk:** egress → real framing → wire time → (faults) → latency → arrival.
-//! - **Invariants:** one frame at a time in each direction of a link and on a bus; frames of a link arrive in the order in which they
-//!   entered it, unless its fault layer reorders them.
-//! - **Context:** the thread that steps the world. **Clauses:** `[FRM-01]`, `[FRM-10]`, `[PKT-15]`, `[LNK-01]`, `[LNK-07]`.
+//! - **Invariants:** one frame at a time in each direction of a link; frames of a link arrive in the order in which they entered it,
+//!   unless its fault layer reorders them.
+//! - **Context:** the thread that steps the world. **Clauses:** `[FRM-01]`, `[LNK-01]`, `[LNK-07]`.
 
 use super::flights::{Flight, Over};
 use super::queue::What;
@@ -13,10 +13,10 @@ use crate::faults::FaultLayer;
 use crate::time::TrueTime;
 use crate::walk::WalkStage;
 use fixed_math::time::{LocalTicks, Span};
+use osap_protocol::GatewayIndex;
 use osap_protocol::discovery::GatewayKind;
 use osap_protocol::framing::encode_parts;
 use osap_protocol::ttl::wire_time;
-use osap_protocol::{BusDrop, GatewayIndex};
 use osap_runtime::Outgoing;
 use rand::RngExt;
 
@@ -69,22 +69,6 @@ pub(super) struct Link {
     pub(super) tap: Option<super::Tap>,
 }
 
-/// A shared medium.
-pub(super) struct Bus {
-    pub(super) latency: Span,
-    pub(super) members: Vec<(BusDrop, NodeId, GatewayIndex)>,
-    /// Who wants to send, in order of their drops: the lowest is served first.
-    requests: std::collections::BTreeSet<BusDrop>,
-    /// Who is sending.
-    speaker: Option<(NodeId, GatewayIndex, u32)>,
-}
-
-impl Bus {
-    pub(super) fn new(latency: Span, members: Vec<(BusDrop, NodeId, GatewayIndex)>) -> Self {
-        Self { latency, members, requests: std::collections::BTreeSet::new(), speaker: None }
-    }
-}
-
 /// What is wired to a gateway from outside the world.
 #[derive(Debug)]
 pub(super) struct Outside {
@@ -113,8 +97,7 @@ impl World {
     pub(super) fn clear_to_send(&mut self, node: NodeId, gate: usize) {
         if let Attachment::Bus { bus, drop } = self.stations[node.at()].gates[gate].attachment {
             self.stations[node.at()].gates[gate].busy = true;
-            self.buses[bus as usize].requests.insert(drop);
-            self.grant(bus);
+            self.request(bus, drop);
         } else {
             let mut packet = std::mem::take(&mut self.packet);
             if let Some(Outgoing { len, .. }) = self.take_output(node, gate, &mut packet) {
@@ -125,7 +108,7 @@ impl World {
     }
 
     /// What the endpoint has for a gate now.
-    fn take_output(&mut self, node: NodeId, gate: usize, packet: &mut [u8]) -> Option<Outgoing> {
+    pub(super) fn take_output(&mut self, node: NodeId, gate: usize, packet: &mut [u8]) -> Option<Outgoing> {
         let station = &mut self.stations[node.at()];
         let local = station.clock.local(self.now);
         let outgoing = station.endpoint.transmit(station.gates[gate].index, local, packet);
@@ -265,69 +248,6 @@ impl World {
         self.plan_faults(link, way);
     }
 
-    /// Gives a free bus to the lowest drop that asks for it and has something to send.
-    fn grant(&mut self, bus: u32) {
-        while self.buses[bus as usize].speaker.is_none() {
-            let it = &mut self.buses[bus as usize];
-            let Some(drop) = it.requests.pop_first() else { return };
-            let (_, node, gateway) = *it.members.iter().find(|member| member.0 == drop).expect("members ask");
-            let gate = self.stations[node.at()].gate(gateway).expect("members are wired");
-            let mut packet = std::mem::take(&mut self.packet);
-            match self.take_output(node, gate, &mut packet) {
-                Some(Outgoing { len, to }) => {
-                    self.speak(bus, drop, node, gate, to.unwrap_or(BusDrop::BROADCAST), &packet[..len]);
-                }
-                None => self.stations[node.at()].gates[gate].busy = false,
-            }
-            self.packet = packet;
-        }
-    }
-
-    /// Puts a frame on a bus: it reaches those it is for.
-    fn speak(&mut self, bus: u32, from: BusDrop, node: NodeId, at: usize, to: BusDrop, packet: &[u8]) {
-        let now = self.now;
-        let mut frame = self.flights.buffer();
-        let gate = &mut self.stations[node.at()].gates[at];
-        encode_frame(&[&[to.0, from.0], packet], gate, &mut frame);
-        let takes = gate.wire_time(frame.len());
-        gate.token = gate.token.wrapping_add(1);
-        gate.quiet = is_announcement(packet);
-        let (gateway, token, quiet) = (gate.index, gate.token, gate.quiet);
-        self.count_frame(&frame);
-        let it = &mut self.buses[bus as usize];
-        it.speaker = Some((node, gateway, token));
-        let started = now + it.latency;
-        let mut reached = 0u64;
-        for (drop, to_node, to_gateway) in &it.members {
-            if *drop == from || (to != BusDrop::BROADCAST && to != *drop) {
-                continue;
-            }
-            reached += 1;
-            let mut bytes = self.flights.buffer();
-            bytes.extend_from_slice(&frame);
-            let (to, gateway) = (*to_node, *to_gateway);
-            let flight = Flight { to, gateway, over: Over::Bus, started, cut: false, quiet, bytes };
-            let flight = self.flights.launch(flight);
-            self.queue.plan(started + takes, What::Arrive { flight });
-        }
-        self.stats.lost += u64::from(reached == 0);
-        self.flights.recycle(frame);
-        self.queue.plan(now + takes, What::BusFree { bus });
-    }
-
-    /// A bus is free again: its speaker may ask again, then the next one speaks.
-    pub(super) fn bus_free(&mut self, bus: u32) {
-        if let Some((node, gateway, token)) = self.buses[bus as usize].speaker.take() {
-            self.sent(node, gateway, token);
-        }
-        self.grant(bus);
-    }
-
-    /// A node was reset: it asks for no bus any more. What it was sending goes on to its end, so that the bus stays in step.
-    pub(super) fn withdraw(&mut self, bus: u32, drop: BusDrop) {
-        self.buses[bus as usize].requests.remove(&drop);
-    }
-
     /// Puts a packet from outside on a gateway's wire, behind those that are on it; tells when it will have arrived.
     pub(super) fn enter_from_outside(&mut self, outside: u32, packet: &[u8]) -> TrueTime {
         let (to, gateway) = self.outsides[outside as usize].to;
@@ -365,7 +285,7 @@ impl World {
         self.flights.recycle(flight.bytes);
     }
 
-    fn count_frame(&mut self, frame: &[u8]) {
+    pub(super) fn count_frame(&mut self, frame: &[u8]) {
         self.stats.frames += 1;
         self.stats.bytes += frame.len() as u64;
         self.digest_bytes(frame);
@@ -389,7 +309,7 @@ fn frame_is_announcement(bytes: &[u8], gate: &Gate) -> bool {
 }
 
 /// Writes the real frame of a packet in `parts` into `frame`.
-fn encode_frame(parts: &[&[u8]], gate: &Gate, frame: &mut Vec<u8>) {
+pub(super) fn encode_frame(parts: &[&[u8]], gate: &Gate, frame: &mut Vec<u8>) {
     frame.resize(FRAME_BYTES_MAX, 0);
     let len = encode_parts(parts, gate.config.check, frame).expect("a packet of at most PACKET_BYTES_MAX bytes");
     frame.truncate(len);
