@@ -9,6 +9,9 @@ use crate::time::TrueTime;
 use fixed_math::time::LocalTicks;
 use osap_protocol::{BusDrop, GatewayIndex};
 
+/// Buffers kept for later frames. Fault layers hand out frames in buffers of their own: without a bound, a long run would keep each.
+const BUFFERS_MAX: usize = 1024;
+
 /// What a frame comes over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Over {
@@ -52,8 +55,10 @@ impl Flights {
 
     /// Gives a buffer back.
     pub(super) fn recycle(&mut self, mut buffer: Vec<u8>) {
-        buffer.clear();
-        self.buffers.push(buffer);
+        if self.buffers.len() < BUFFERS_MAX {
+            buffer.clear();
+            self.buffers.push(buffer);
+        }
     }
 
     pub(super) fn launch(&mut self, flight: Flight) -> u32 {
