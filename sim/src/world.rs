@@ -151,6 +151,7 @@ pub struct World {
     flights: Flights,
     rng: Pcg64,
     seed: u64,
+    ambient_faults: Option<FaultConfig>,
     stats: Stats,
     digest: u64,
     walk: Option<Vec<WalkEvent>>,
@@ -172,11 +173,17 @@ impl World {
             flights: Flights::default(),
             rng: Pcg64::seed_from_u64(seed),
             seed,
+            ambient_faults: None,
             stats: Stats::default(),
             digest: seed,
             walk: None,
             packet: vec![0; PACKET_BYTES_MAX].into_boxed_slice(),
         }
+    }
+
+    /// Faults of every link and bus made from now on that brings none of its own: a whole machine on bad cables.
+    pub const fn set_ambient_faults(&mut self, faults: Option<FaultConfig>) {
+        self.ambient_faults = faults;
     }
 
     /// Adds a node that cannot be reset.
@@ -454,7 +461,7 @@ impl World {
 
     /// A fault layer that draws from the world's seed, the configuration's and the number of the wire, `[LNK-07]`.
     fn fault_layer(&self, config: Option<FaultConfig>, stream: u64) -> Option<FaultLayer> {
-        let config = config?.for_stream(stream);
+        let config = config.or(self.ambient_faults)?.for_stream(stream);
         Some(FaultLayer::new(FaultConfig { seed: config.seed ^ self.seed.rotate_left(32), ..config }))
     }
 

@@ -23,6 +23,7 @@ use osap_protocol::GatewayIndex;
 use osap_protocol::discovery::UniqueId;
 use osap_runtime::GatewayConfig;
 use osap_sim::capture::Direction;
+use osap_sim::faults::FaultConfig;
 use osap_sim::machines::{UART, printer, shapes};
 use osap_sim::processor::Processor;
 use osap_sim::time::ClockModel;
@@ -65,17 +66,11 @@ impl SimNetwork {
         let seed = spec.seed.unwrap_or(options.seed);
         let model = LinkModel { faults: options.link.faults, ..LinkModel::WIRE };
         let mut network = match spec.kind {
-            SimKind::Printer if options.link.faults.is_some() => {
-                return refuse("faults", "the printer's links are those of the thesis; use sim:line or sim:ring");
-            }
-            SimKind::Bus { .. } | SimKind::Random { .. } if options.link.faults.is_some() => {
-                return refuse("faults", "this machine's links have none; use sim:line or sim:ring");
-            }
-            SimKind::Printer => Self::printer(seed),
+            SimKind::Printer => Self::faulty_printer(seed, model.faults),
             SimKind::Line { devices } => Self::line(devices, model, seed),
             SimKind::Ring { devices } => Self::ring(devices, model, seed),
-            SimKind::Bus { devices } => Self::bus(devices, seed),
-            SimKind::Random { devices, extra_links } => Self::network(devices, extra_links, seed),
+            SimKind::Bus { devices } => Self::bus(devices, model, seed),
+            SimKind::Random { devices, extra_links } => Self::network(devices, extra_links, model, seed),
         };
         if let Some(path) = &options.capture {
             network.capture(LinkCapture::create(path)?);
@@ -86,7 +81,12 @@ impl SimNetwork {
     /// The printer of `osap_sim::machines::printer`.
     #[must_use]
     pub fn printer(seed: u64) -> Self {
+        Self::faulty_printer(seed, None)
+    }
+
+    fn faulty_printer(seed: u64, faults: Option<FaultConfig>) -> Self {
         let mut world = World::new(seed);
+        world.set_ambient_faults(faults);
         let core = host(&printer::HOST_GATEWAYS, seed);
         let printer = printer::build(&mut world, Box::new(core), Processor::INSTANT);
         Self::of(world, printer.host, printer.links)
@@ -112,20 +112,21 @@ impl SimNetwork {
 
     /// A hub with devices on one bus.
     #[must_use]
-    pub fn bus(devices: usize, seed: u64) -> Self {
-        Self::shape(seed, LinkModel::WIRE, 1, |world| (Some((shapes::bus_cell(world, devices).hub, 0)), Vec::new()))
+    pub fn bus(devices: usize, model: LinkModel, seed: u64) -> Self {
+        Self::shape(seed, model, 1, |world| (Some((shapes::bus_cell(world, devices).hub, 0)), Vec::new()))
     }
 
     /// A random network with loops, the host at its first device.
     #[must_use]
-    pub fn network(devices: usize, extra_links: usize, seed: u64) -> Self {
-        Self::shape(seed, LinkModel::WIRE, 1, |world| {
+    pub fn network(devices: usize, extra_links: usize, model: LinkModel, seed: u64) -> Self {
+        Self::shape(seed, model, 1, |world| {
             let shape = shapes::network(world, devices, extra_links);
             (shape.nodes.first().map(|node| (*node, 0)), shape.links)
         })
     }
 
-    /// A host with `gateways` UARTs in a world that `build` fills; the host's first one is wired to the gateway that `build` names.
+    /// A host with `gateways` UARTs in a world that `build` fills, with the model's faults on all its links and buses; the host's first
+    /// gateway is wired, by the model, to the one that `build` names.
     pub fn shape(
         seed: u64,
         model: LinkModel,
@@ -133,6 +134,7 @@ impl SimNetwork {
         build: impl FnOnce(&mut World) -> (Option<(NodeId, u8)>, Vec<LinkId>),
     ) -> Self {
         let mut world = World::new(seed);
+        world.set_ambient_faults(model.faults);
         let core = host(&vec![UART; gateways], seed);
         let host = world.add_node(Box::new(core), Processor::INSTANT, ClockModel::PERFECT);
         let (first, mut links) = build(&mut world);

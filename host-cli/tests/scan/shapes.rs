@@ -70,7 +70,7 @@ fn a_ring_is_a_loop_and_not_an_endless_line() {
 #[test]
 fn every_drop_of_a_bus_is_found() {
     for devices in [1, 6, 24] {
-        let map = scan(SimNetwork::bus(devices, SEED)).map;
+        let map = scan(SimNetwork::bus(devices, LinkModel::WIRE, SEED)).map;
         assert_eq!(found_ids(&map), ids(devices + 1), "{devices} devices");
         assert_eq!((map.buses.len(), map.buses[0].members.len()), (1, devices + 1));
         let drops: Vec<u8> = map.buses[0].members.iter().map(|member| member.drop).collect();
@@ -84,7 +84,7 @@ fn every_drop_of_a_bus_is_found() {
 #[test]
 fn random_networks_are_found_as_they_were_built() {
     for seed in 1..=4 {
-        let mut network = SimNetwork::network(200, 40, seed);
+        let mut network = SimNetwork::network(200, 40, LinkModel::WIRE, seed);
         let links = true_links(&mut network);
         let report = scan(network);
         assert_eq!(found_ids(&report.map), ids(200), "seed {seed}");
@@ -97,7 +97,7 @@ fn random_networks_are_found_as_they_were_built() {
 /// A second scan of a machine at rest finds the same, whatever the first left behind in the nodes.
 #[test]
 fn a_second_scan_finds_the_same() {
-    let mut session = Session::over(SimNetwork::network(60, 12, SEED));
+    let mut session = Session::over(SimNetwork::network(60, 12, LinkModel::WIRE, SEED));
     let (first, second) = (scan_again(&mut session).map, scan_again(&mut session).map);
     assert_eq!(diff(&first, &second), []);
     assert_eq!(first.links, second.links);
@@ -106,7 +106,7 @@ fn a_second_scan_finds_the_same() {
 /// One seed gives one scan, to the packet.
 #[test]
 fn a_scan_repeats_itself() {
-    let [one, other] = [(), ()].map(|()| scan(SimNetwork::network(40, 8, SEED)));
+    let [one, other] = [(), ()].map(|()| scan(SimNetwork::network(40, 8, LinkModel::WIRE, SEED)));
     assert_eq!(one.map.to_json(), other.map.to_json());
     assert_eq!(one.cost, other.cost);
 }

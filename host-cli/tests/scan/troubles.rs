@@ -3,9 +3,10 @@
 use super::support::{findings, found_ids, ids, scan, scan_again};
 use firmware_app::kind;
 use fixed_math::time::Span;
+use osap::link::LinkOptions;
 use osap::map::{Change, Finding, LeadsTo, ResolveError, diff};
 use osap::network::SimNetwork;
-use osap::session::Session;
+use osap::session::{OpenOptions, Session};
 use osap_protocol::GatewayIndex;
 use osap_protocol::discovery::UniqueId;
 use osap_sim::device::sim_device;
@@ -169,6 +170,27 @@ fn losses_and_bit_errors_cost_retries_and_no_devices() {
         assert_eq!(found_ids(&report.map), ids(8), "seed {seed}");
         assert!(report.cost.retries > 0, "seed {seed}");
         assert!(!report.map.findings.iter().any(|it| matches!(it, Finding::Incomplete { .. })), "seed {seed}");
+    }
+}
+
+/// `[LNK-07]`: the same on every machine there is: a network with loops, a bus whose one medium loses for all, the printer.
+#[test]
+fn every_simulated_machine_is_found_on_bad_cables() {
+    for seed in 1..=3 {
+        let faults = FaultConfig { loss: 0.01, bit_error_rate: 1e-5, seed, ..FaultConfig::default() };
+        let model = LinkModel { faults: Some(faults), ..LinkModel::WIRE };
+        let options = OpenOptions {
+            link: LinkOptions { faults: Some(faults), ..LinkOptions::default() },
+            ..OpenOptions::default()
+        };
+        let printer = SimNetwork::open(&"sim:printer".parse().unwrap(), &options).unwrap();
+        let machines =
+            [(SimNetwork::network(60, 12, model, seed), 60), (SimNetwork::bus(12, model, seed), 13), (printer, 12)];
+        for (network, devices) in machines {
+            let report = scan(network);
+            assert_eq!(found_ids(&report.map), ids(devices), "seed {seed}, {devices} devices");
+            assert!(report.cost.retries > 0, "seed {seed}, {devices} devices: the cables were good");
+        }
     }
 }
 

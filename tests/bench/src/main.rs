@@ -1,10 +1,12 @@
 //! Benchmarks, each a subcommand of `cargo xtask bench`: figures with their conditions, not tests.
 //!
-//! `runtime`: µs of CPU a message over 0 to 3 links. `overload`: commands beside telemetry at 120 % of a link, in virtual time.
+//! `runtime`: µs of CPU a message over 0 to 3 links. `overload`: commands beside telemetry at 120 % of a link, in virtual time. `scan`: a
+//! thousand nodes with loops.
 #![forbid(unsafe_code)]
 
 mod overload;
 mod runtime;
+mod scan;
 
 use clap::{Parser, Subcommand};
 
@@ -29,15 +31,29 @@ enum Bench {
         #[arg(long, default_value_t = 10)]
         seconds: u64,
     },
+    /// A scan of a random network with loops: virtual time, packets, host time.
+    Scan {
+        /// Devices.
+        #[arg(long, default_value_t = 1_000)]
+        nodes: usize,
+        /// Links beyond those of a tree: each closes a loop.
+        #[arg(long, default_value_t = 200)]
+        loops: usize,
+        /// Seed of the network.
+        #[arg(long, default_value_t = 1)]
+        seed: u64,
+    },
 }
 
 fn main() {
     match Args::parse().bench {
         Some(Bench::Runtime { messages }) => runtime::run(messages),
         Some(Bench::Overload { seconds }) => overload::run(seconds),
+        Some(Bench::Scan { nodes, loops, seed }) => scan::run(nodes, loops, seed),
         None => {
             runtime::run(2_000_000);
             overload::run(10);
+            scan::run(1_000, 200, 1);
         }
     }
 }
