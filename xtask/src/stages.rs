@@ -3,6 +3,7 @@
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
+use crate::picture;
 use crate::report::{Outcome, Report};
 use crate::run::{Error, Program, root, write};
 use crate::setup::{self, Setup, TARGETS};
@@ -36,6 +37,7 @@ pub(crate) fn test() -> ExitCode {
         stage(&mut report, &setup, &setup::build_stage(target), || build_cores(target));
     }
     stage(&mut report, &setup, "fuzz, short", || Program::cargo(FUZZ).run());
+    stage(&mut report, &setup, "picture in the README", || picture::demo(true));
     println!("\n{}", report.render());
     if report.has_failed() { ExitCode::FAILURE } else { ExitCode::SUCCESS }
 }
