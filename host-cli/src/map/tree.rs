@@ -105,6 +105,32 @@ impl NetworkMap {
                 None => {}
             }
         }
+        exits.extend(self.exits_unread(device));
+        exits.sort_by_key(|(step, _)| step.gateway());
+        exits
+    }
+
+    /// The same by gateways that the device did not tell of: links and buses know where they end.
+    fn exits_unread(&self, device: usize) -> Vec<(Step, Exit)> {
+        let unread = |end: usize, gateway: Option<u8>| {
+            let index = gateway.filter(|_| end == device).and_then(osap_protocol::GatewayIndex::new)?;
+            let is_told = self.devices[device].gateways.iter().any(|gateway| gateway.index == index.get());
+            (!is_told).then_some(index)
+        };
+        let mut exits = Vec::new();
+        for link in &self.links {
+            for (here, there) in [(link.near, link.far), (link.far, link.near)] {
+                let index = unread(here.device, here.gateway);
+                exits.extend(index.map(|index| (Step::Link(index), Exit::Device(there.device))));
+            }
+        }
+        for bus in &self.buses {
+            let Some(gateway) = bus.members.iter().find_map(|it| unread(it.device, it.gateway)) else { continue };
+            for member in bus.members.iter().filter(|member| member.device != device) {
+                let drop = osap_protocol::BusDrop(member.drop);
+                exits.push((Step::Bus { gateway, drop }, Exit::Device(member.device)));
+            }
+        }
         exits
     }
 

@@ -79,7 +79,14 @@ impl Found {
         }
     }
 
-    /// Forgets what it said of itself, `[DSC-09]`.
+    /// Takes what a device says now that restarted or has other neighbours, `[DSC-09]`. What it said before stays until it is read
+    /// anew: over a link with losses, old words are better than none.
+    pub(super) fn renew(&mut self, info: RuntimeInfo) {
+        self.info = info;
+        self.is_stale = false;
+    }
+
+    /// Forgets what was said there: another device stands in its place.
     pub(super) fn forget(&mut self, info: RuntimeInfo) {
         *self = Self { restarts: self.restarts, has_changed: self.has_changed, ..Self::new(info, self.way.clone()) };
     }

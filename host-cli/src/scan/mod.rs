@@ -174,13 +174,16 @@ impl<'a> Scanner<'a> {
         if layer.is_empty() {
             return Err(ScanError::HostSilent);
         }
-        for pass in 1.. {
+        for _ in 0..PASSES_MAX {
             self.search(layer)?;
             layer = self.close()?;
-            if layer.is_empty() || pass == PASSES_MAX {
+            if layer.is_empty() {
                 break;
             }
         }
+        // the search is over, but what changed at the very end is read all the same
+        self.read(&layer)?;
+        self.read_missing()?;
         let cost = cost(&before.1, &self.network.statistics()?, self.network.now().since(before.0));
         Ok(ScanReport { map: self.assemble(), cost })
     }

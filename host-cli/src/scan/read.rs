@@ -1,8 +1,8 @@
 //! What devices say of themselves: names, links, ports.
 //!
 //! - **Walk:** a layer of devices → all their questions in one window → [`Found`](super::found::Found).
-//! - **Invariants:** a question that nobody answers is asked in at most `ROUNDS` rounds, and in no further one where the device answered
-//!   nothing at all. **Clauses:** `[DSC-01]`, `[DSC-09]`.
+//! - **Invariants:** a question that nobody answers is asked in at most `ROUNDS_HEARD` rounds, and in no more than `ROUNDS` where the
+//!   device answered nothing at all. No answer takes away what an earlier one said. **Clauses:** `[DSC-01]`, `[DSC-09]`.
 
 use super::{ROUNDS, ScanPhase, Scanner};
 use crate::core::Outcome;
@@ -13,6 +13,9 @@ use osap_runtime::sequenced::Expect;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::collections::BTreeSet;
+
+/// Times a question is asked again as a whole where the device answers others: it is there, and the way to it loses packets.
+const ROUNDS_HEARD: usize = 8;
 
 /// One question to one device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -26,9 +29,26 @@ enum What {
 impl Scanner<'_> {
     /// Reads all of `devices`.
     pub(super) fn read(&mut self, devices: &[usize]) -> Result<(), NetworkError> {
-        let mut open: Vec<(usize, What)> = devices.iter().flat_map(|device| self.questions(*device)).collect();
-        let depth = devices.first().map_or(0, |device| self.found[*device].depth());
-        for _ in 0..ROUNDS {
+        let open = devices.iter().flat_map(|device| self.questions(*device)).collect();
+        self.ask_until_heard(open, BTreeSet::new())
+    }
+
+    /// Asks once more what was not answered by those that were there at the end.
+    pub(super) fn read_missing(&mut self) -> Result<(), NetworkError> {
+        let there: BTreeSet<usize> = (0..self.found.len()).filter(|device| !self.found[*device].fell_silent).collect();
+        let mut open: Vec<(usize, What)> = there.iter().flat_map(|device| self.questions(*device)).collect();
+        open.retain(|(device, what)| self.is_missing(*device, *what));
+        self.ask_until_heard(open, there)
+    }
+
+    /// Asks in rounds; `heard` are those known to be there.
+    fn ask_until_heard(
+        &mut self,
+        mut open: Vec<(usize, What)>,
+        mut heard: BTreeSet<usize>,
+    ) -> Result<(), NetworkError> {
+        let depth = open.first().map_or(0, |(device, _)| self.found[*device].depth());
+        for round in 1..=ROUNDS_HEARD {
             if open.is_empty() {
                 break;
             }
@@ -40,7 +60,6 @@ impl Scanner<'_> {
                 progress(super::ScanProgress { phase: ScanPhase::Reading, depth, done, of, devices: found });
                 answers.push((reported.tag, reported.result));
             })?;
-            let mut heard = BTreeSet::new();
             let mut again = Vec::new();
             for ((device, what), result) in answers {
                 match result {
@@ -55,7 +74,7 @@ impl Scanner<'_> {
                     Ok(Outcome::Timeout { .. } | Outcome::Ended) | Err(_) => again.push((device, what)),
                 }
             }
-            again.retain(|(device, _)| heard.contains(device));
+            again.retain(|(device, _)| round < ROUNDS || heard.contains(device));
             again.sort_unstable();
             open = again;
         }
@@ -68,14 +87,24 @@ impl Scanner<'_> {
         let found = &mut self.found[device];
         let gateways = found.info.gateways.min(osap_protocol::GatewayIndex::COUNT);
         let ports = if with_ports { found.info.ports.min(osap_protocol::PortIndex::COUNT) } else { 0 };
-        found.links = vec![None; usize::from(gateways)];
-        found.ports = vec![None; usize::from(ports)];
+        found.links.resize(usize::from(gateways), None);
+        found.ports.resize(usize::from(ports), None);
         let names = [What::TypeName, What::Name].into_iter();
         names
             .chain((0..gateways).map(What::Link))
             .chain((0..ports).map(What::Port))
             .map(|what| (device, what))
             .collect()
+    }
+
+    fn is_missing(&self, device: usize, what: What) -> bool {
+        let found = &self.found[device];
+        match what {
+            What::TypeName => found.type_name.is_none(),
+            What::Name => found.name.is_none(),
+            What::Link(index) => found.links.get(usize::from(index)).is_some_and(Option::is_none),
+            What::Port(index) => found.ports.get(usize::from(index)).is_some_and(Option::is_none),
+        }
     }
 
     fn question(&self, device: usize, what: What) -> Question<(usize, What)> {
@@ -92,19 +121,21 @@ impl Scanner<'_> {
         let found = &mut self.found[device];
         match what {
             What::TypeName => {
-                found.type_name = read::<Name>(Query::TypeName, bytes).map(|name| name.as_str().to_owned());
+                let told = read::<Name>(Query::TypeName, bytes).map(|name| name.as_str().to_owned());
+                found.type_name = told.or(found.type_name.take());
             }
             What::Name => {
-                found.name = read::<Name>(Query::RuntimeName, bytes).map(|name| name.as_str().to_owned());
+                let told = read::<Name>(Query::RuntimeName, bytes).map(|name| name.as_str().to_owned());
+                found.name = told.or(found.name.take());
             }
             What::Link(index) => {
                 if let Some(place) = found.links.get_mut(usize::from(index)) {
-                    *place = read::<LinkInfo>(Query::LinkInfo, bytes);
+                    *place = read::<LinkInfo>(Query::LinkInfo, bytes).or(place.take());
                 }
             }
             What::Port(index) => {
                 if let Some(place) = found.ports.get_mut(usize::from(index)) {
-                    *place = read::<PortInfo>(Query::PortInfo, bytes);
+                    *place = read::<PortInfo>(Query::PortInfo, bytes).or(place.take());
                 }
             }
         }

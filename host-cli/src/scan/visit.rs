@@ -234,7 +234,11 @@ impl Scanner<'_> {
             }
             found.restarts += u32::from(has_restarted);
             found.has_changed |= has_moved && !has_restarted;
-            found.forget(info);
+            if info.unique_id == found.info.unique_id {
+                found.renew(info);
+            } else {
+                found.forget(info);
+            }
             self.visits.reached(id, device);
             again.push(device);
         }

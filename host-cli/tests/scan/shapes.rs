@@ -31,6 +31,10 @@ host  osap-host  686f…000b
     assert_eq!(report.map.tree(), expected);
     assert_eq!(report.map.findings, []);
     assert_eq!(report.map.silent, []);
+    // branches of a device whose links were not read are shown all the same
+    let mut unread = report.map.clone();
+    unread.devices.iter_mut().for_each(|device| device.gateways.clear());
+    assert_eq!(unread.tree(), expected);
     assert_eq!((report.cost.retries, report.cost.timeouts), (0, 0));
     for row in printer::TABLE_2_7 {
         let device = report.map.resolve(row.device).unwrap();

@@ -4,7 +4,7 @@ use super::support::{findings, found_ids, ids, scan, scan_again};
 use firmware_app::kind;
 use fixed_math::time::Span;
 use osap::link::LinkOptions;
-use osap::map::{Change, Finding, LeadsTo, ResolveError, diff};
+use osap::map::{Change, Finding, LeadsTo, NetworkMap, ResolveError, diff};
 use osap::network::SimNetwork;
 use osap::session::{OpenOptions, Session};
 use osap_protocol::GatewayIndex;
@@ -192,6 +192,39 @@ fn every_simulated_machine_is_found_on_bad_cables() {
             assert!(report.cost.retries > 0, "seed {seed}, {devices} devices: the cables were good");
         }
     }
+}
+
+/// On cables that lose every third frame a scan may miss devices, but what it found it does not forget: neither the host's own name
+/// when it reads it anew, nor that of a device whose answers were lost the first time.
+#[test]
+fn what_was_read_is_not_forgotten() {
+    for (seed, loss) in [(1, 0.3), (2, 0.3), (3, 0.3), (4, 0.25), (5, 0.2), (6, 0.2)] {
+        let faults = FaultConfig { loss, seed, ..FaultConfig::default() };
+        let link = LinkOptions { faults: Some(faults), ..LinkOptions::default() };
+        let options = OpenOptions { link, ..OpenOptions::default() };
+        let network = SimNetwork::open(&"sim:printer".parse().unwrap(), &options).unwrap();
+        assert_all_read(&scan(network).map, &format!("loss {loss}, seed {seed}"));
+    }
+    for seed in 1..=4 {
+        let faults = FaultConfig { loss: 0.05, seed, ..FaultConfig::default() };
+        let model = LinkModel { faults: Some(faults), ..LinkModel::WIRE };
+        let map = scan(SimNetwork::network(100, 10, model, seed)).map;
+        assert!(map.devices.len() > 50, "seed {seed}: {}", map.tree());
+        assert_all_read(&map, &format!("network, seed {seed}"));
+    }
+}
+
+/// Every device has told its names and links, unless it fell silent, which is told.
+fn assert_all_read(map: &NetworkMap, what: &str) {
+    let host = map.root();
+    assert!(host.name == "host" && host.type_name == "osap-host" && !host.gateways.is_empty(), "{what}: {host:?}");
+    for (index, device) in map.devices.iter().enumerate() {
+        let is_told = map.findings.contains(&Finding::FellSilent { device: index });
+        let is_read = !device.name.is_empty() && !device.type_name.is_empty() && !device.gateways.is_empty();
+        assert!(is_read || is_told, "{what}: {}\n{}\n{:?}", device.route(), map.tree(), findings(map));
+    }
+    let is_incomplete = |finding: &Finding| matches!(finding, Finding::Incomplete { device, .. } if !map.findings.contains(&Finding::FellSilent { device: *device }));
+    assert!(!map.findings.iter().any(is_incomplete), "{what}: {:?}", findings(map));
 }
 
 /// `[DSC-03]`: frames that come twice and late repeat visits after later ones; that is neither a loop nor a second device.
