@@ -181,7 +181,7 @@ impl HostCore {
             completions: VecDeque::new(),
             datagrams: VecDeque::new(),
             events: VecDeque::new(),
-            exchange: Exchange::default(),
+            exchange: Exchange::new(identity.unique_id.0[6]),
             statistics: Statistics::default(),
             turn: 0,
         }

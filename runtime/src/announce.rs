@@ -38,6 +38,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         let terminal = Terminal::System { key: SystemKey::Announcement.key() };
         let at = emit(out, ANNOUNCE_TTL_US, gateway.config.mtu_bytes, route.as_route(), terminal).ok()?;
         let len = at + announcement.encode(out.get_mut(at..)?).ok()?;
+        gateway.announced_last = true;
         gateway.sent = gateway.sent.wrapping_add(1);
         Some(Outgoing { len, to })
     }

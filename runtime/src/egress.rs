@@ -35,7 +35,10 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
     /// MTU; a packet that it cannot hold is dropped, `over-mtu`.
     pub fn transmit(&mut self, index: GatewayIndex, now: LocalTicks, out: &mut [u8]) -> Option<Outgoing> {
         let gateway = self.gateways.get(index.at()).filter(|gateway| gateway.open)?;
-        if gateway.announce_at.is_some_and(|at| at <= now)
+        // one announcement between two packets at the most, however often a neighbour asks
+        let yields = gateway.announced_last && gateway.waiting > 0;
+        if !yields
+            && gateway.announce_at.is_some_and(|at| at <= now)
             && let Some(outgoing) = self.announce(index, now, out)
         {
             return Some(outgoing);
@@ -63,6 +66,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
             room.copy_from_slice(packet.bytes());
             self.relinquish(id);
             let gateway = &mut self.gateways[index.at()];
+            gateway.announced_last = false;
             gateway.sent = gateway.sent.wrapping_add(1);
             self.stage(Stage::Egress, Taker::Gateway(index), now);
             return Some(Outgoing { len, to });

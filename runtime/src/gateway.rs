@@ -61,6 +61,8 @@ pub struct Gateway {
     pub(crate) heard: Option<Heard>,
     /// When to announce ourselves next; `None` while closed, or on a bus after it was done.
     pub(crate) announce_at: Option<LocalTicks>,
+    /// The last packet sent was an announcement.
+    pub(crate) announced_last: bool,
     /// Latest change of neighbour that nobody has asked for yet.
     pub(crate) change: Option<osap_protocol::discovery::NeighbourChange>,
 }
@@ -77,6 +79,7 @@ impl Gateway {
             dropped: 0,
             heard: None,
             announce_at: None,
+            announced_last: false,
             change: None,
         }
     }

@@ -10,7 +10,8 @@ use osap_protocol::discovery::Stage;
 use osap_protocol::header::Arrival;
 use osap_protocol::system::SystemKey;
 use osap_protocol::transport::{SegmentHeader, SequencedHeader, Transport};
-use osap_protocol::{BusDrop, DropCause, GatewayIndex, Instruction, Packet};
+use osap_protocol::ttl::ttl_after;
+use osap_protocol::{BusDrop, DropCause, GatewayIndex, Instruction, Packet, Route};
 
 impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS: usize>
     Node<SLOTS, BYTES, GATEWAYS, PORTS>
@@ -77,6 +78,10 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         self.stage(Stage::Ingress, Taker::Gateway(index), now);
 
         let view = Packet::check(&*packet)?;
+        if let Instruction::System(_) | Instruction::Port { .. } = view.instruction() {
+            // the way ends here: what was taken must be a way, or nothing could go back by it
+            Route::check(view.taken()).map_err(|_| DropCause::PointerOutside)?;
+        }
         if let Instruction::System(key) = view.instruction() {
             return match SystemKey::from_key(key) {
                 // one step and no more, `[SYS-02]`: what was forwarded here tells nothing of who is at the other end of this link
@@ -98,6 +103,12 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         // the sender has taken the wire time off already: time in this node begins at the frame's end, which cannot be after `now`
         let arrived = (started + wire).min(now);
         let deadline = arrived + Span::from_us(u64::from(ttl_us));
+        // what could only be dropped takes no memory, and displaces nothing that could still be in time
+        let left = match taker {
+            Taker::Port(_) => ttl_after(ttl_us, now.since(arrived), Span::ZERO),
+            Taker::Gateway(out) => ttl_after(ttl_us, now.since(arrived), self.gateways[out.at()].config.wire_time(len)),
+        };
+        left.ok_or(DropCause::Expired)?;
         let id = self.admit(Tag { owner: Owner::Gateway(index), taker, arrived, ttl_us, deadline }, now)?;
         self.pool.room_mut(&id)[..len].copy_from_slice(packet);
         self.pool.set_len(&id, len);

@@ -46,13 +46,13 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         let (key, len) = (payload[0], payload.len());
         let room = self.room_for_answer(&delivery);
         let mut out: Answer = [0; _];
-        // longer than any query: its body cannot decode
         let served = match query.get_mut(..len) {
             Some(place) => {
                 place.copy_from_slice(payload);
                 decode(place).and_then(|message| self.serve(message, now, &mut out[..room]))
             }
-            None => Err(Refusal::Body),
+            // longer than any query: its body cannot decode, if its version is ours at all
+            None => decode(payload).and(Err(Refusal::Body)),
         };
         // an answer is counted where it fails, so nothing is lost silently
         let _counted = match served {
@@ -117,7 +117,10 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
                 self.clock.set(body.read::<TimeSettings>()?)?;
                 encode(key, &(), out)
             }
-            Query::Counters => encode(key, &self.counters.page(body.read()?), out),
+            Query::Counters => {
+                let first = body.read()?;
+                self.encode_counter_page(first, out)
+            }
         }
     }
 
@@ -155,6 +158,17 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
             self.name = name;
             self.renamed = true;
             self.debug.record(Verbosity::Events, now, || Event::Renamed);
+        }
+    }
+
+    /// A page of as many counters as fit, `[DSC-06]`.
+    fn encode_counter_page(&self, first: u8, out: &mut [u8]) -> Result<usize, Refusal> {
+        let mut page = self.counters.page(first);
+        loop {
+            match encode(Query::Counters.key(), &page, out) {
+                Err(Refusal::TooLong) if page.values.pop().is_some() => {}
+                result => return result,
+            }
         }
     }
 

@@ -52,6 +52,9 @@ pub struct Identity {
     pub build: BuildKind,
 }
 
+/// Least MTU of a gateway, bytes: an announcement has up to 29, on a bus 2 of route among them.
+pub const MTU_BYTES_MIN: u16 = 32;
+
 /// Packets the netresponder may hold of its own: none, since it only turns queries into replies.
 const NETRESPONDER: PortConfig = PortConfig { type_name: "netresponder", name: "", packet_hold_max: 0 };
 
@@ -100,8 +103,12 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         }
     }
 
-    /// Adds a gateway, closed; `None` where there are `GATEWAYS` already. Its MTU is cut to the pool's slots.
+    /// Adds a gateway, closed; `None` where there are `GATEWAYS` already, or where it could not carry so much as an announcement
+    /// ([`MTU_BYTES_MIN`]). Its MTU is cut to the pool's slots.
     pub fn add_gateway(&mut self, mut config: GatewayConfig) -> Option<GatewayIndex> {
+        if config.mtu_bytes < MTU_BYTES_MIN {
+            return None;
+        }
         config.mtu_bytes = config.mtu_bytes.min(u16::try_from(BYTES).unwrap_or(u16::MAX));
         let index = GatewayIndex::new(u8::try_from(self.gateways.len()).ok()?)?;
         self.gateways.push(Gateway::new(config)).ok()?;
@@ -263,7 +270,12 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
             self.change_hold(tag.owner, 1);
             return Ok(id);
         }
-        let Some(id) = self.stack.take_latest_of(&mut self.pool, tag.owner, tag.deadline) else {
+        // an owner within its hold may not be kept out by others' later packets, where the holds together are more than the pool
+        let mut giving_way = self.stack.take_latest_of(&mut self.pool, Some(tag.owner), tag.deadline);
+        if giving_way.is_none() && held < limit {
+            giving_way = self.stack.take_latest_of(&mut self.pool, None, tag.deadline);
+        }
+        let Some(id) = giving_way else {
             return Err(if held < limit { DropCause::PoolFull } else { DropCause::HoldFull });
         };
         self.leave_stack(&id);

@@ -4,6 +4,7 @@
 //! - **Invariants:** the interrupt's half has no way to reach the node: a push is a fixed number of loads and stores, however much waits
 //!   there. A stamp is that of a frame's first byte. A byte that finds the ring full is lost with the rest of its frame, and
 //!   counted; what there is of that frame ends as one that fails its check.
+//!   So it is for streams that carry a check: without one, a frame cut where a run ends would pass for a whole one.
 //! - **Context:** [`Capture`] in the interrupt, [`HandOver`] in the task below it; single producer, single consumer, no locks.
 //! - **Clauses:** `[NOD-08]`, `[FRM-08]`.
 //!

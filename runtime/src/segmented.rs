@@ -76,8 +76,8 @@ pub struct Sender {
 }
 
 impl Sender {
-    /// Prepares a message of `len` bytes, numbered `message`, from `port`. The number differs from that of the message before: the receiver
-    /// tells a repeated segment from a new message by it.
+    /// Prepares a message of `len` bytes, numbered `message`, from `port`. Numbers go up from message to message, from a first one that differs
+    /// from boot to boot: the receiver tells a repeated segment from a new message by them.
     ///
     /// # Errors
     /// [`MessageError`].
@@ -123,7 +123,13 @@ impl Sender {
 
     /// Takes an acknowledgement or refusal that came to the port; `false` where it is not for this message.
     pub fn accept(&mut self, header: SegmentHeader, now: LocalTicks) -> bool {
-        let Progress::Sending { .. } = self.progress else { return false };
+        let Progress::Sending { .. } = self.progress else {
+            // what ended it may come again, and is no more than that
+            return matches!(
+                header,
+                SegmentHeader::Acknowledge { message, .. } | SegmentHeader::Refuse { message, .. } if message == self.message
+            );
+        };
         match header {
             SegmentHeader::Acknowledge { message, next } if message == self.message => {
                 if next > self.done && next <= self.next {
@@ -257,10 +263,14 @@ impl<const BYTES: usize> Receiver<BYTES> {
         let back = Route::check(node.taken_steps(&delivery)).map(RouteBuf::from).unwrap_or_default();
         let source = Source { back, port: delivery.source, message };
         let idle = now.since(self.heard) >= Span::from_us(SEGMENT_IDLE_US);
-        // a message already whole is only repeated while its last acknowledgement may have been lost; later it is a new one of the same number
-        let same = self.source.as_ref() == Some(&source) && (self.in_progress() || !idle);
+        let same = self.is_same(&source, index, count, idle);
         if !same && self.in_progress() && !idle {
             return refuse(node, delivery, message, SegmentRefusal::Busy, now);
+        }
+        if !same && (index > 0 || (!idle && self.is_older(&source))) {
+            // the middle of a message that is not under way here, or one that was whole before the last: it claims nothing
+            node.release(delivery, Some(DropCause::SegmentOutOfOrder), now);
+            return Received::Dropped;
         }
         if !same {
             self.begin(source, count, data.len());
@@ -291,6 +301,21 @@ impl<const BYTES: usize> Receiver<BYTES> {
         }
     }
 
+    /// Whether a segment belongs to the message that is, or was last, received here. A message already whole is only repeated while its
+    /// last acknowledgement may have been lost; later, or of another length, it is a new one of the same number.
+    fn is_same(&self, source: &Source, index: u16, count: u16, idle: bool) -> bool {
+        let anew = !self.in_progress() && (idle || (index == 0 && count != self.count));
+        self.source.as_ref() == Some(source) && !anew
+    }
+
+    /// Whether a message is one of the sender's before the last: numbers go up, and around.
+    fn is_older(&self, source: &Source) -> bool {
+        self.source.as_ref().is_some_and(|last| {
+            let same_sender = last.port == source.port && last.back == source.back;
+            same_sender && source.message.wrapping_sub(last.message).cast_signed() < 0
+        })
+    }
+
     fn in_progress(&self) -> bool {
         self.source.is_some() && self.next < self.count
     }
@@ -314,6 +339,10 @@ impl<const BYTES: usize> Receiver<BYTES> {
         let last = index + 1 == count;
         if index == 0 {
             self.segment_bytes = data.len();
+        }
+        // all but the last are of one length, so the first one tells whether the whole will fit
+        if index == 0 && usize::from(count - 1) * data.len() > BYTES {
+            return Err(DropCause::OverMtu);
         }
         let fits = if last { data.len() <= self.segment_bytes } else { data.len() == self.segment_bytes };
         if !fits || data.is_empty() {

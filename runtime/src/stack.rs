@@ -92,11 +92,11 @@ impl Stack {
         None
     }
 
-    /// Takes out the latest packet of `owner`, where it is due after `deadline`, `[NOD-05]`.
+    /// Takes out the latest packet of `owner`, or of all, where it is due after `deadline`, `[NOD-05]`.
     pub fn take_latest_of<const S: usize, const B: usize>(
         &mut self,
         pool: &mut Pool<S, B>,
-        owner: Owner,
+        owner: Option<Owner>,
         deadline: LocalTicks,
     ) -> Option<SlotId> {
         let mut at = self.tail;
@@ -104,7 +104,7 @@ impl Stack {
             if slot.tag.deadline <= deadline {
                 return None;
             }
-            if slot.tag.owner == owner {
+            if owner.is_none_or(|owner| slot.tag.owner == owner) {
                 return Some(self.unlink(&mut pool.slots, at));
             }
             at = slot.previous;
@@ -178,7 +178,7 @@ mod tests {
                 let wanted = tag(u8::try_from(value % 3).unwrap(), u8::try_from(value % 3).unwrap(), 0, 0);
                 let (got, place) = match what {
                     0 => (stack.take_expired(&mut pool, at), model.iter().position(|t| t.deadline <= at)),
-                    1 => (stack.take_latest_of(&mut pool, wanted.owner, at), model.iter().rposition(|t| t.owner == wanted.owner && t.deadline > at)),
+                    1 => (stack.take_latest_of(&mut pool, Some(wanted.owner), at), model.iter().rposition(|t| t.owner == wanted.owner && t.deadline > at)),
                     _ => (stack.take_for(&mut pool, wanted.taker), model.iter().position(|t| t.taker == wanted.taker)),
                 };
                 let expected = place.map(|place| model.remove(place).ttl_us);

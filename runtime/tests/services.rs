@@ -60,6 +60,8 @@ fn bad_queries_are_refused_with_a_reason() {
     let mut longer_than_any = vec![3, VERSION];
     longer_than_any.resize(100, 0);
     assert_eq!(refused(&mut a, &longer_than_any), Refusal::Body.code());
+    longer_than_any[1] = VERSION + 1;
+    assert_eq!(refused(&mut a, &longer_than_any), Refusal::Version.code());
     let settings = TimeSettings { interval_us: 1, ..osap_runtime::clock::DEFAULT_SETTINGS };
     assert_eq!(ask::<_, ()>(&mut a, Query::SetTimeControl, &settings, now), Err(Refusal::Range.code()));
     assert_eq!(a.name(), "node4");
@@ -112,6 +114,31 @@ fn a_repeated_scan_id_gets_the_same_answer() {
     assert_eq!(previous(visit(5)), visit(1));
     assert_eq!(previous(visit(5)), visit(1));
     assert_eq!(previous(ScanId { scan: 10, visit: 1 }), visit(5));
+}
+
+/// `[DSC-06]`: so are the counters', whose numbers grow longer with time.
+#[test]
+fn counter_pages_shrink_to_the_mtu() {
+    let mut a = node(4, &[]);
+    for cause in DropCause::ALL {
+        for _ in 0..17_000 {
+            a.count(*cause, None, us(0)); // three bytes each
+        }
+    }
+    let route = RouteBuf::new();
+    let to = Outbound {
+        route: route.as_route(),
+        mtu_bytes: 50,
+        ttl_us: 100,
+        destination: PortIndex::NETRESPONDER,
+        transport: Transport::Sequenced,
+    };
+    a.send(port(1), to, &[&[1, 0, Query::Counters.key(), VERSION, 0]], us(9)).unwrap();
+    a.run(us(9));
+    let delivery = a.take(port(1), us(9)).unwrap();
+    let answer = read(&mut a, delivery, us(9));
+    let page: CounterPage = osap_protocol::discovery::decode(&answer).unwrap().body.read().unwrap();
+    assert_eq!((page.first, page.values.len()), (0, 11)); // 50 less 9, 2, 2 and 3 of page: 34 bytes, three each
 }
 
 /// `[DSC-06]`: a page that would not fit a small MTU is shortened, not refused.
@@ -219,6 +246,34 @@ fn closing_a_gateway_loses_its_neighbour() {
     assert_eq!(a.take_neighbour_change().map(|(_, change)| change), Some(NeighbourChange::Appeared));
     a.set_open(gateway(0), false, us(20));
     assert_eq!(a.take_neighbour_change(), Some((gateway(0), NeighbourChange::Lost)));
+}
+
+/// `[SYS-03]`: who asks is answered at once, not at the next interval; and however often it asks, packets get every other turn.
+#[test]
+fn an_asking_neighbour_is_answered_and_starves_nobody() {
+    let mut a = node(1, &[FAST]);
+    for n in 0..3 {
+        common::datagram(&mut a, &[common::link(0)], 1, 50_000, &[n], us(0)).unwrap();
+    }
+    let announcement = Announcement {
+        version: ANNOUNCEMENT_VERSION,
+        unique_id: UniqueId([9; 12]),
+        boot_epoch: 1,
+        wants_answer: true,
+        drop: None,
+    };
+    let mut order = Vec::new();
+    for at in 1..7 {
+        let mut packet = [0; 64];
+        let terminal = Terminal::System { key: SystemKey::Announcement.key() };
+        let start = emit(&mut packet, 1000, 64, common::route(&[common::link(0)]).as_route(), terminal).unwrap();
+        let len = start + announcement.encode(&mut packet[start..]).unwrap();
+        a.receive(Arrival::Link(gateway(0)), &mut packet[..len], us(at), us(at)).unwrap();
+        let mut out = [0; 256];
+        let sent = a.transmit(gateway(0), us(at), &mut out).unwrap();
+        order.push(if sent.len == 11 { 'p' } else { 'a' });
+    }
+    assert_eq!(order, ['p', 'a', 'p', 'a', 'p', 'a'], "the node's first announcement went before");
 }
 
 /// `[SYS-03]`, `[NOD-12]`: announcements come every interval, once for a loop that stalled, and `next_wake` tells when.

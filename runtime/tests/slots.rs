@@ -176,12 +176,28 @@ proptest! {
         prop_assert_eq!(bench.node.free_slots(), SLOTS);
         prop_assert_eq!(bench.node.stacked(), 0);
         // the holds came home too: every owner can fill its own again
-        bench.node.set_open(gateway(0), true, end);
-        for _ in 0..4 {
-            prop_assert!(bench.node.clear_to_receive(gateway(0)));
-            let mut packet = [5, 0xff, 0xff, 64, 0, 0x40, 0xc0, 0x28, 1, 0];
-            prop_assert_eq!(bench.node.receive(Arrival::Link(gateway(0)), &mut packet, end, end), Ok(()));
+        let node = &mut bench.node;
+        for (index, opcode) in [(0, 0x40), (1, 0x40), (2, 0x80)] {
+            node.set_open(gateway(index), true, end);
+            let on_bus = Arrival::Bus { gateway: gateway(2), from: BusDrop(9) };
+            let arrival = if index == 2 { on_bus } else { Arrival::Link(gateway(index)) };
+            for _ in 0..4 {
+                prop_assert!(node.clear_to_receive(gateway(index)), "gateway {}", index);
+                let mut packet = vec![5, 0xff, 0xff, 64, 0, opcode, 0xc0, 0x28, 1, 0];
+                if index == 2 {
+                    packet.insert(6, 3);
+                }
+                prop_assert_eq!(node.receive(arrival, &mut packet, end, end), Ok(()));
+            }
+            prop_assert!(!node.clear_to_receive(gateway(index)), "gateway {}", index);
+            while let Some(delivery) = node.take(port(USER), end) {
+                node.release(delivery, None, end);
+            }
         }
-        prop_assert!(!bench.node.clear_to_receive(gateway(0)));
+        let nowhere = route(&[]);
+        for n in 0..5 {
+            let to = Outbound { route: nowhere.as_route(), mtu_bytes: 256, ttl_us: 9, destination: port(USER), transport: Transport::Datagram };
+            prop_assert_eq!(node.send(port(USER), to, &[&[n]], end).is_ok(), n < 4, "the user port");
+        }
     }
 }

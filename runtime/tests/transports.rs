@@ -7,7 +7,7 @@ use fixed_math::time::LocalTicks;
 use osap_protocol::discovery::{Query, VERSION};
 use osap_protocol::header::Arrival;
 use osap_protocol::transport::{
-    RETRIES_MAX, SEGMENT_IDLE_US, SegmentHeader, SegmentRefusal, Sequence, SequencedKind, Transport,
+    RETRIES_MAX, SEGMENT_IDLE_US, SEGMENT_WINDOW, SegmentHeader, SegmentRefusal, Sequence, SequencedKind, Transport,
 };
 use osap_protocol::{DropCause, PortIndex, RouteBuf};
 use osap_runtime::segmented::{MessageError, Progress, Received, Receiver, Sender};
@@ -120,6 +120,44 @@ fn a_client_refuses_what_it_cannot_keep() {
     assert_eq!(ask(1), Err(RequestError::Busy { limit: 2 }));
 }
 
+/// `[TRN-04]`: an answer must come from the port that was asked, and under the number that is open.
+#[test]
+fn an_answer_must_have_port_and_number_of_its_request() {
+    for (source, sequence, ours) in [(0, 5, true), (2, 5, false), (0, 6, false)] {
+        let mut a = node(1, &[FAST]);
+        let mut client = TestClient::new(port(USER), Sequence::new(5));
+        client.request(&mut a, netresponder_of_b(), Expect::One, &[1], us(0)).unwrap();
+        let [high, low] = [0xc0 | u8::try_from(source >> 5).unwrap(), u8::try_from((source & 31) << 3).unwrap()];
+        let mut packet = [5, 0xff, 0xff, 64, 0, 0x40, high, low, USER.to_le_bytes()[0], 1, sequence, 0x40, 9];
+        a.receive(Arrival::Link(gateway(0)), &mut packet, us(1), us(1)).unwrap();
+        let delivery = a.take(port(USER), us(1)).unwrap();
+        let accepted = client.accept(&mut a, delivery, us(1));
+        assert_eq!(matches!(accepted, Accepted::Answer { .. }), ours, "source {source}, sequence {sequence}");
+        assert_eq!(a.counters().of(DropCause::ReplyUnmatched), u32::from(!ours));
+    }
+}
+
+/// `[TRN-10]`: a sender never has more than its window unacknowledged, however much its port may hold.
+#[test]
+fn a_window_is_a_window() {
+    let mut a = node(1, &[FAST]);
+    let steps = route(&[link(0)]);
+    let message = [7; 900];
+    let mut sender = Sender::new(port(USER), &to_b(64, &steps), 3, message.len(), us(0)).unwrap();
+    let mut sent = 0;
+    for _ in 0..10 {
+        sender.poll(&mut a, &message, us(0));
+        while a.transmit(gateway(0), us(0), &mut [0; BYTES]).is_some() {
+            sent += 1;
+        }
+    }
+    assert_eq!(sent, SEGMENT_WINDOW);
+    assert!(sender.accept(SegmentHeader::Acknowledge { message: 3, next: 1 }, us(0)));
+    sender.poll(&mut a, &message, us(0));
+    assert!(a.transmit(gateway(0), us(0), &mut [0; BYTES]).is_some());
+    assert!(a.transmit(gateway(0), us(0), &mut [0; BYTES]).is_none());
+}
+
 fn to_b(mtu_bytes: u16, route: &RouteBuf) -> Outbound<'_> {
     Outbound {
         route: route.as_route(),
@@ -170,6 +208,14 @@ proptest! {
         prop_assert_eq!(progress, Progress::Done);
         prop_assert_eq!(got, Some(message));
     }
+}
+
+/// `[TRN-10]`: the last window sent again is acknowledged twice; the second acknowledgement is of the same message, if of no more use.
+#[test]
+fn a_window_repeated_is_acknowledged_twice() {
+    let message: Vec<u8> = (0..453).map(|n| u8::try_from(n % 251).unwrap()).collect();
+    let (got, progress) = send_message(&message, 167, &|n| [0, 9, 10].contains(&n));
+    assert_eq!((got, progress), (Some(message), Progress::Done));
 }
 
 /// `[TRN-10]`: where nothing gets through, the sender gives up and says how far it was.
@@ -239,4 +285,70 @@ fn one_message_at_a_time() {
     assert_eq!((verdict, answer), (Received::Dropped, Some(SegmentHeader::Acknowledge { message: 2, next: 1 })));
     // long after, the same number is a new message
     assert_eq!(data(2, 0, 1, 30 + 2 * SEGMENT_IDLE_US).0, Received::Whole);
+}
+
+/// One data segment to a receiver in the same node, and what was answered.
+fn segment(
+    b: &mut TestNode,
+    receiver: &mut Receiver<64>,
+    (message, index, count): (u8, u16, u16),
+    data: &[u8],
+    at: u64,
+) -> (Received, Option<SegmentHeader>) {
+    let none = RouteBuf::new();
+    let mut head = [0; 6];
+    SegmentHeader::Data { message, index, count }.encode(&mut head);
+    b.send(port(USER), Outbound { route: none.as_route(), ..to_b(256, &none) }, &[&head, data], us(at)).unwrap();
+    let delivery = b.take(port(USER), us(at)).unwrap();
+    let verdict = receiver.accept(b, delivery, us(at));
+    let answer = b.take(port(USER), us(at)).map(|delivery| {
+        let header = SegmentHeader::parse(b.payload(&delivery)).unwrap().0;
+        b.release(delivery, None, us(at));
+        header
+    });
+    (verdict, answer)
+}
+
+/// `[TRN-09]`: what is left of a message refused as too long, and what comes late of one that was whole, claims the receiver for nobody.
+#[test]
+fn stray_segments_claim_nothing() {
+    let mut b = node(2, &[]);
+    let mut receiver = Receiver::<64>::new();
+    for index in 0..4 {
+        let (verdict, _) = segment(&mut b, &mut receiver, (1, index, 4), &[7; 40], 1_000);
+        assert_eq!(verdict, Received::Dropped);
+    }
+    assert_eq!(segment(&mut b, &mut receiver, (2, 0, 2), b"aa", 1_100).0, Received::Partial);
+    assert_eq!(segment(&mut b, &mut receiver, (2, 1, 2), b"bb", 1_100).0, Received::Whole);
+    assert_eq!(segment(&mut b, &mut receiver, (3, 0, 1), b"cc", 1_100).0, Received::Whole);
+    assert_eq!(segment(&mut b, &mut receiver, (2, 1, 2), b"bb", 1_200).0, Received::Dropped);
+    assert_eq!(segment(&mut b, &mut receiver, (2, 0, 1), b"replayed", 1_200).0, Received::Dropped);
+    assert_eq!(segment(&mut b, &mut receiver, (4, 0, 1), b"dd", 1_300).0, Received::Whole);
+    assert_eq!(receiver.message(), b"dd");
+}
+
+/// `[TRN-09]`: another length under the number of a message already whole is another message, not a repetition to be acknowledged.
+#[test]
+fn another_length_is_another_message() {
+    let mut b = node(2, &[]);
+    let mut receiver = Receiver::<64>::new();
+    assert_eq!(segment(&mut b, &mut receiver, (0, 0, 1), b"one", 1_000).0, Received::Whole);
+    let (verdict, answer) = segment(&mut b, &mut receiver, (0, 0, 2), b"two", 1_100);
+    assert_eq!((verdict, answer), (Received::Partial, Some(SegmentHeader::Acknowledge { message: 0, next: 1 })));
+}
+
+/// `[TRN-08]`: all segments but the last have one length, and the last no more.
+#[test]
+fn segments_have_one_length() {
+    for (second, third, expected) in
+        [(&b"22"[..], &b"3"[..], Received::Whole), (b"2", b"3", Received::Dropped), (b"22", b"333", Received::Dropped)]
+    {
+        let mut b = node(2, &[]);
+        let mut receiver = Receiver::<64>::new();
+        segment(&mut b, &mut receiver, (1, 0, 3), b"11", 1_000);
+        segment(&mut b, &mut receiver, (1, 1, 3), second, 1_000);
+        let (verdict, _) = segment(&mut b, &mut receiver, (1, 2, 3), third, 1_000);
+        assert_eq!(verdict, expected);
+        assert_eq!(b.counters().of(DropCause::SegmentInvalid) > 0, expected == Received::Dropped);
+    }
 }

@@ -6,7 +6,9 @@
 
 use super::{HostCore, outbound};
 use fixed_math::time::{LocalTicks, Span};
-use osap_protocol::transport::{SegmentRefusal, Transport};
+use osap_protocol::header::way_back;
+use osap_protocol::transport::{SegmentHeader, SegmentRefusal, Transport};
+use osap_protocol::{DropCause, PortIndex, Route, RouteBuf};
 use osap_runtime::segmented::{MessageError, Progress, Received, Receiver, Sender};
 use osap_runtime::sequenced::Destination;
 use osap_runtime::{Delivery, Mailbox};
@@ -40,6 +42,9 @@ pub enum MessageOutcome {
 #[derive(Debug)]
 struct Active {
     sender: Sender,
+    /// Who it goes to, and who alone may acknowledge and answer it.
+    peer: (RouteBuf, PortIndex),
+    number: u8,
     message: Vec<u8>,
     started: LocalTicks,
     deadline: LocalTicks,
@@ -56,6 +61,11 @@ pub(super) struct Exchange {
 }
 
 impl Exchange {
+    /// Nothing under way; `first` differs from process to process, `[TRN-09]`.
+    pub(super) fn new(first: u8) -> Self {
+        Self { number: first, ..Self::default() }
+    }
+
     pub(super) fn next_wake(&self) -> Option<LocalTicks> {
         let active = self.active.as_ref()?;
         match active.sender.progress() {
@@ -81,6 +91,10 @@ impl Exchange {
     /// Takes a segmented packet.
     pub(super) fn accept(&mut self, node: &mut impl Mailbox, delivery: Delivery, now: LocalTicks) {
         let arrived = delivery.arrived;
+        if !self.is_from_peer(node, &delivery) {
+            node.release(delivery, Some(DropCause::ReplyUnmatched), now);
+            return;
+        }
         match self.receiver.accept(node, delivery, now) {
             Received::ForSender(header) => {
                 if let Some(active) = &mut self.active {
@@ -96,6 +110,18 @@ impl Exchange {
             }
             Received::Partial | Received::Dropped => {}
         }
+    }
+
+    /// Whether a segmented packet comes by the way, from the port and under the number of the message under way.
+    fn is_from_peer(&self, node: &impl Mailbox, delivery: &Delivery) -> bool {
+        let Some(active) = &self.active else { return false };
+        let Ok((header, _)) = SegmentHeader::parse(node.payload(delivery)) else { return false };
+        let (SegmentHeader::Data { message, .. }
+        | SegmentHeader::Acknowledge { message, .. }
+        | SegmentHeader::Refuse { message, .. }) = header;
+        let (route, port) = &active.peer;
+        let taken = Route::check(node.taken_steps(delivery)).unwrap_or(Route::LOCAL);
+        message == active.number && delivery.source == *port && way_back(taken).eq(route.as_route().steps())
     }
 
     fn end(&mut self, outcome: MessageOutcome) {
@@ -119,9 +145,12 @@ impl HostCore {
         let exchange = &mut self.exchange;
         let outbound = outbound(to, Transport::Segmented);
         let sender = Sender::new(self.stream, &outbound, exchange.number, message.len(), now)?;
-        exchange.number = exchange.number.wrapping_add(1);
+        let number = exchange.number;
+        exchange.number = number.wrapping_add(1);
         exchange.outcome = None;
-        exchange.active = Some(Active { sender, message: message.to_vec(), started: now, deadline: now + within });
+        let peer = (to.route.clone(), to.port);
+        exchange.active =
+            Some(Active { sender, peer, number, message: message.to_vec(), started: now, deadline: now + within });
         self.run(now);
         Ok(())
     }

@@ -80,12 +80,20 @@ impl<const MESSAGE_BYTES: usize> Echo<MESSAGE_BYTES> {
         let header = SegmentHeader::parse(node.payload(&delivery)).map(|(header, _)| header);
         let (port, back) = (delivery.port, route_back(node, &delivery));
         let asker = match header {
-            Ok(SegmentHeader::Data { message, .. }) => Some(Asker { back, port: delivery.source, message }),
-            _ => None,
+            Ok(
+                SegmentHeader::Data { message, .. }
+                | SegmentHeader::Acknowledge { message, .. }
+                | SegmentHeader::Refuse { message, .. },
+            ) => Some(Asker { back, port: delivery.source, message }),
+            Err(_) => None,
         };
-        if let (Some(asker), Some((served, _))) = (&asker, &self.sending)
-            && asker != served
-        {
+        let of_another = matches!((&asker, &self.sending), (Some(asker), Some((served, _))) if asker != served);
+        if of_another && !matches!(header, Ok(SegmentHeader::Data { .. })) {
+            // only who is served may say what has arrived
+            node.release(delivery, Some(DropCause::ReplyUnmatched), now);
+            return;
+        }
+        if let Some(asker) = asker.as_ref().filter(|_| of_another) {
             // `[APP-04]`: the outbox is not free
             let mut out = [0; SegmentHeader::LEN_MAX];
             let len = SegmentHeader::Refuse { message: asker.message, reason: SegmentRefusal::Busy }.encode(&mut out);
