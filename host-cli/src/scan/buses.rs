@@ -1,6 +1,7 @@
 //! Who is on a bus: whoever answers a broadcast.
 //!
-//! - **Walk:** an open bus gateway of a layer → a few broadcasts → one candidate for each drop that answered.
+//! - **Walk:** an open bus gateway of a layer → a few broadcasts → one candidate for each drop that answered; on a full bus, one for each
+//!   other address too.
 //! - **Invariants:** a bus is asked from one of its nodes only. A broadcast is repeated until a round shows nobody new, since answers of
 //!   many drops at once may be lost on their way; at most `BROADCASTS_MAX` times.
 //! - **Clauses:** `[DSC-08]`, `[PKT-15]`, `[SYS-06]`.
@@ -13,9 +14,12 @@ use crate::error::NetworkError;
 use crate::session::Question;
 use osap_protocol::discovery::{GatewayKind, LinkInfo, Query, RuntimeInfo};
 use osap_protocol::{BusDrop, GatewayIndex, Step};
-use osap_runtime::sequenced::Expect;
+use osap_runtime::sequenced::{Destination, Expect};
 use std::collections::BTreeSet;
 
+/// From how many answers on every other address is visited too: answers to a broadcast queue on the bus, and on a full one those
+/// at the end live too short to arrive, in every round the same.
+const SWEEP_FROM: usize = 32;
 /// Broadcasts on one bus at most.
 const BROADCASTS_MAX: usize = 6;
 
@@ -41,9 +45,28 @@ impl Scanner<'_> {
                 if !self.buses.iter().any(|bus| (bus.device, bus.gateway) == (*device, gateway)) {
                     self.buses.push(FoundBus { device: *device, gateway, own_drop: drop });
                 }
-                for drop in self.drops(*device, gateway, &info)? {
-                    candidates.extend(self.candidate(*device, Step::Bus { gateway, drop }, &info, None));
-                }
+                candidates.extend(self.bus_candidates(*device, gateway, &info, drop)?);
+            }
+        }
+        Ok(candidates)
+    }
+
+    /// One candidate for each drop that answers, and one to be tried once for each that might be there.
+    fn bus_candidates(
+        &mut self,
+        device: usize,
+        gateway: GatewayIndex,
+        info: &LinkInfo,
+        own_drop: u8,
+    ) -> Result<Vec<Candidate>, NetworkError> {
+        let heard = self.drops(device, gateway, info)?;
+        let is_full = heard.len() >= SWEEP_FROM;
+        let mut candidates = Vec::new();
+        for drop in (0..BusDrop::BROADCAST.0).map(BusDrop) {
+            let is_certain = heard.contains(&drop);
+            if is_certain || (is_full && drop.0 != own_drop) {
+                let way = self.candidate(device, Step::Bus { gateway, drop }, info, None);
+                candidates.extend(way.map(|way| Candidate { is_certain, ..way }));
             }
         }
         Ok(candidates)
@@ -71,7 +94,8 @@ impl Scanner<'_> {
         for round in 0..BROADCASTS_MAX {
             let Some(id) = self.visits.begin_broadcast() else { break };
             let question = Question {
-                to: way.destination(),
+                // the answers wait for each other, and pay for it from the question's time to live
+                to: Destination { ttl_us: u16::MAX, ..way.destination() },
                 expect: Expect::Many,
                 payload: payload(Query::RuntimeInfo, &id),
                 tag: (),
