@@ -31,6 +31,8 @@ use std::str::FromStr;
 
 /// Devices a simulated machine has at most.
 pub(super) const SIM_DEVICES_MAX: usize = 5_000;
+/// Devices on a bus at most: its addresses end at 254, and the hub has the first.
+const SIM_BUS_DEVICES_MAX: usize = 254;
 const PREFIX: &str = "sim:";
 
 /// A network to open: one link of several, or a whole simulated machine.
@@ -140,19 +142,20 @@ impl FromStr for SimSpec {
             None => (text, None),
         };
         let parts: Vec<&str> = what.strip_prefix(PREFIX).unwrap_or_default().split(':').collect();
-        let count = |number: &str, what, least: usize| {
-            let value = number.parse().ok().filter(|n| (least..=SIM_DEVICES_MAX).contains(n));
-            value.ok_or_else(|| SimSpecError::Count { text: given(), what, least, most: SIM_DEVICES_MAX })
+        let count = |number: &str, what, least: usize, most: usize| {
+            let value = number.parse().ok().filter(|n| (least..=most).contains(n));
+            value.ok_or_else(|| SimSpecError::Count { text: given(), what, least, most })
         };
-        let devices = |number: &str, least| count(number, "devices", least);
+        let devices = |number: &str, least| count(number, "devices", least, SIM_DEVICES_MAX);
         let kind = match parts[..] {
             ["printer"] => SimKind::Printer,
             ["line", n] => SimKind::Line { devices: devices(n, 1)? },
             ["ring", n] => SimKind::Ring { devices: devices(n, 3)? },
-            ["bus", n] => SimKind::Bus { devices: devices(n, 1)? },
+            ["bus", n] => SimKind::Bus { devices: count(n, "devices on a bus", 1, SIM_BUS_DEVICES_MAX)? },
             ["random", n] => SimKind::Random { devices: devices(n, 1)?, extra_links: 0 },
             ["random", n, extra] => {
-                SimKind::Random { devices: devices(n, 1)?, extra_links: count(extra, "extra links", 0)? }
+                let extra_links = count(extra, "extra links", 0, SIM_DEVICES_MAX)?;
+                SimKind::Random { devices: devices(n, 1)?, extra_links }
             }
             _ => return Err(SimSpecError::Kind { text: given() }),
         };
@@ -190,6 +193,8 @@ mod tests {
         assert!(said("sim").starts_with("sim: there are sim:printer"));
         assert!(said("sim:line:0").contains("expected 1 to 5000 devices"));
         assert!(said("sim:line:99999999999999999999").contains("expected 1 to 5000 devices"));
+        assert!(said("sim:bus:255").contains("expected 1 to 254 devices on a bus"));
+        assert!(said("sim:bus:0").contains("expected 1 to 254 devices on a bus"));
         assert!(said("sim:random:5:x").contains("expected 0 to 5000 extra links"));
         assert!(said("sim:printer@-1").contains("as seed behind the @"));
         assert!(said("printer").ends_with("such as sim:printer"));
@@ -203,7 +208,7 @@ mod tests {
                 0 => SimKind::Printer,
                 1 => SimKind::Line { devices },
                 2 => SimKind::Ring { devices },
-                3 => SimKind::Bus { devices },
+                3 => SimKind::Bus { devices: devices.min(SIM_BUS_DEVICES_MAX) },
                 _ => SimKind::Random { devices, extra_links },
             };
             let spec = SimSpec { kind, seed };
