@@ -37,7 +37,7 @@ impl LinkCapture {
     pub(super) fn create(path: &Path) -> Result<Self, OpenError> {
         let cannot = |reason: String| OpenError::Capture { path: path.display().to_string(), reason };
         let file = File::create(path).map_err(|error| cannot(error.to_string()))?;
-        let capture = Capture::new(BufWriter::new(file)).map_err(|error| cannot(error.to_string()))?;
+        let capture = Capture::new(BufWriter::new(file)).map_err(|error| cannot(reason(&error)))?;
         let state = State { capture: Some(capture), interfaces: Vec::new(), fault: None };
         Ok(Self { path: path.to_owned(), state: Arc::new(Mutex::new(state)) })
     }
@@ -74,7 +74,34 @@ impl LinkCapture {
         let State { capture: Some(capture), interfaces, .. } = &mut *state else { return };
         if let Err(error) = write(capture, interfaces) {
             state.capture = None;
-            state.fault = Some(format!("{}: {error}", self.path.display()));
+            state.fault = Some(format!("{}: {}", self.path.display(), reason(&error)));
         }
+    }
+}
+
+/// What is at the bottom of an error: the writer says of every failure, even of a full disk, that it was about reading bytes.
+fn reason(error: &dyn std::error::Error) -> String {
+    let mut at = error;
+    while let Some(source) = at.source() {
+        at = source;
+    }
+    at.to_string()
+}
+
+#[cfg(all(test, target_os = "linux"))]
+mod tests {
+    use super::*;
+
+    /// What ends a capture is told by the system's own words.
+    #[test]
+    fn a_full_disk_is_told_as_such() {
+        let capture = LinkCapture::create(Path::new("/dev/full")).unwrap();
+        capture.add("link", 0);
+        // more than a buffered writer keeps
+        for _ in 0..100 {
+            capture.packet(0, LocalTicks::ZERO, Direction::Sent, &[0; 200]);
+        }
+        let fault = capture.fault().unwrap();
+        assert!(fault.starts_with("/dev/full: No space left on device"), "{fault}");
     }
 }
