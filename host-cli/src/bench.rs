@@ -5,13 +5,17 @@
 //!   more than once are in no figure; its bytes count once.
 //! - **Context:** the caller's thread; time is the host's clock, virtual where the network is simulated. **Clause:** `[TRN-03]`.
 
-use crate::core::Outcome;
-use crate::error::AskError;
+use crate::core::{Completion, Outcome};
+use crate::error::{AskError, NetworkError};
 use crate::ping::{percentile, us};
-use crate::session::{ECHO_PORT, Question, Session, Window};
+use crate::session::{ECHO_PORT, Session};
 use fixed_math::time::Span;
-use osap_runtime::sequenced::{Destination, Expect};
+use osap_runtime::sequenced::{Destination, Expect, RequestError, Ticket};
 use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// So many losses one after the other are a device that is gone, not a bad cable: each costs all its tries.
+pub const LOST_IN_A_ROW_MAX: u32 = 16;
 
 /// How to measure.
 #[derive(Clone, Copy, Debug)]
@@ -37,7 +41,7 @@ pub struct BenchReport {
     pub payload_bytes: usize,
     /// Messages open at once.
     pub window: usize,
-    /// Messages sent.
+    /// Messages sent: fewer than asked for where the device was given up.
     pub sent: u32,
     /// Those that came back as they were sent.
     pub answered: u32,
@@ -62,42 +66,80 @@ pub struct BenchReport {
 }
 
 impl Session {
-    /// Sends `count` echoes to a device.
+    /// Sends `count` echoes to a device, or fewer where [`LOST_IN_A_ROW_MAX`] of them do not come back.
     ///
     /// # Errors
     /// [`AskError`] where a message cannot be sent or the network cannot go on. Silence is no error.
     pub fn bench(&mut self, to: &Destination, options: &BenchOptions) -> Result<BenchReport, AskError> {
         let to = Destination { port: ECHO_PORT, ..to.clone() };
-        let questions = (0..options.count).map(|number| Question {
-            to: to.clone(),
-            expect: Expect::One,
-            payload: pattern(number, options.payload_bytes),
-            tag: number,
-        });
         let (payload_bytes, window) = (options.payload_bytes, options.window);
         let mut report = BenchReport { payload_bytes, window, ..BenchReport::default() };
-        let (mut times, mut refused) = (Vec::new(), None);
+        let (mut times, mut refused, mut lost_in_a_row) = (Vec::new(), None, 0);
         let started = self.network().now();
-        let open = Window { a_link: window, in_all: window };
-        open.run(self.network(), questions.collect(), &mut |reported| match reported.result {
-            Ok(Outcome::Reply(reply)) if reply.payload == pattern(reported.tag, payload_bytes) => {
-                report.answered += 1;
-                if reply.tries == 1 {
-                    times.push(reply.round_trip);
-                } else {
-                    report.late += 1;
+        report.sent = self.echoes(&to, options, &mut |number, result| {
+            match result {
+                Ok(Outcome::Reply(reply)) if reply.payload == pattern(number, payload_bytes) => {
+                    report.answered += 1;
+                    lost_in_a_row = 0;
+                    if reply.tries == 1 {
+                        times.push(reply.round_trip);
+                    } else {
+                        report.late += 1;
+                    }
+                }
+                Ok(Outcome::Reply(_) | Outcome::Refusal(_)) => {
+                    report.corrupt += 1;
+                    lost_in_a_row = 0;
+                }
+                Ok(Outcome::Timeout { .. } | Outcome::Ended) => {
+                    report.lost += 1;
+                    lost_in_a_row += 1;
+                }
+                Err(error) => {
+                    refused = Some(error);
+                    report.lost += 1;
+                    lost_in_a_row += 1;
                 }
             }
-            Ok(Outcome::Reply(_) | Outcome::Refusal(_)) => report.corrupt += 1,
-            Ok(Outcome::Timeout { .. } | Outcome::Ended) => report.lost += 1,
-            Err(error) => refused = Some(error),
+            lost_in_a_row < LOST_IN_A_ROW_MAX
         })?;
-        if let Some(error) = refused {
+        if let Some(error) = refused.filter(|_| report.answered == 0) {
             return Err(AskError::Send { place: self.place(&to), error });
         }
-        report.sent = options.count;
         report.time(self.network().now().since(started), times);
         Ok(report)
+    }
+
+    /// Sends echoes, `window` of them open at once, for as long as `each` wants more; says how many there were.
+    fn echoes(
+        &mut self,
+        to: &Destination,
+        options: &BenchOptions,
+        each: &mut dyn FnMut(u32, Result<Outcome, RequestError>) -> bool,
+    ) -> Result<u32, NetworkError> {
+        let mut open: BTreeMap<Ticket, u32> = BTreeMap::new();
+        let (mut next, mut goes_on) = (0, true);
+        loop {
+            while goes_on && next < options.count && open.len() < options.window.max(1) {
+                match self.network().submit(to.clone(), Expect::One, &pattern(next, options.payload_bytes)) {
+                    Ok(ticket) => {
+                        open.insert(ticket, next);
+                    }
+                    // room comes with the answers to those that are open
+                    Err(_) if !open.is_empty() => break,
+                    Err(error) => goes_on = each(next, Err(error)),
+                }
+                next += 1;
+            }
+            if open.is_empty() {
+                return Ok(next);
+            }
+            let Completion { ticket, outcome, .. } = self.network().wait()?;
+            // a ticket of somebody before us is none of ours
+            if let Some(number) = open.remove(&ticket) {
+                goes_on &= each(number, Ok(outcome));
+            }
+        }
     }
 }
 
@@ -120,4 +162,25 @@ impl BenchReport {
 /// A payload that differs from message to message, so that an answer to another one is seen.
 fn pattern(number: u32, len: usize) -> Vec<u8> {
     number.to_le_bytes().into_iter().chain((4u8..=255).cycle()).take(len).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::session::OpenOptions;
+
+    /// Too little time for the wires is as silent as a device that is gone.
+    #[test]
+    fn a_silent_device_is_given_up() {
+        let mut session = Session::open(&["sim:line:1".parse().unwrap()], &OpenOptions::default()).unwrap();
+        let known = session.destination(&"/0".parse().unwrap());
+        let to = Destination { ttl_us: 300, ..known.clone() };
+        let options = BenchOptions { window: 1, ..BenchOptions::default() };
+        let report = session.bench(&to, &options).unwrap();
+        assert_eq!((report.sent, report.lost, report.answered), (LOST_IN_A_ROW_MAX, LOST_IN_A_ROW_MAX, 0));
+        let report = session.bench(&known, &options).unwrap();
+        assert_eq!((report.sent, report.answered), (1_000, 1_000));
+        let nowhere = session.destination(&"/5".parse().unwrap());
+        assert!(matches!(session.bench(&nowhere, &options), Err(AskError::Send { .. })));
+    }
 }

@@ -10,7 +10,8 @@ use crate::session::Session;
 use fixed_math::time::Span;
 use osap_protocol::PortIndex;
 use osap_protocol::discovery::{Query, ScanId, encode};
-use osap_runtime::sequenced::Destination;
+use osap_runtime::SendError;
+use osap_runtime::sequenced::{Destination, RequestError};
 use serde::Serialize;
 
 /// How to ping.
@@ -45,6 +46,11 @@ pub enum PingResult {
         /// How often it was sent.
         tries: u8,
     },
+    /// Not sent: the host's own link was down, say. It counts as lost, and the next question is asked all the same.
+    Unsent {
+        /// Why.
+        error: SendError,
+    },
 }
 
 /// Round trips, µs. All but the counts are zero where there were none.
@@ -56,7 +62,7 @@ pub struct PingReport {
     pub answered: u32,
     /// Answered at a later try.
     pub late: u32,
-    /// Not answered.
+    /// Not answered, or not even sent.
     pub lost: u32,
     /// The shortest.
     pub min_us: f64,
@@ -76,7 +82,7 @@ impl Session {
     /// Asks `count` times; `each` is told of every answer.
     ///
     /// # Errors
-    /// [`AskError`] where a question cannot be sent, is refused, or the network cannot go on. Silence is no error.
+    /// [`AskError`] where a question is refused, or the network cannot go on. Silence is no error, nor is a link that is down at times.
     pub fn ping(
         &mut self,
         to: &Destination,
@@ -103,6 +109,7 @@ impl Session {
             Ok(reply) if reply.tries == 1 => Ok(PingResult::Answered(reply.round_trip)),
             Ok(reply) => Ok(PingResult::Late { tries: reply.tries }),
             Err(AskError::Timeout { tries, .. }) => Ok(PingResult::Lost { tries }),
+            Err(AskError::Send { error: RequestError::Send(error), .. }) => Ok(PingResult::Unsent { error }),
             Err(error) => Err(error),
         }
     }
@@ -132,7 +139,7 @@ impl PingReport {
             match result {
                 PingResult::Answered(span) => times.push(*span),
                 PingResult::Late { .. } => report.late += 1,
-                PingResult::Lost { .. } => report.lost += 1,
+                PingResult::Lost { .. } | PingResult::Unsent { .. } => report.lost += 1,
             }
         }
         times.sort_unstable();
@@ -177,6 +184,19 @@ mod tests {
         assert_eq!((report.min_us, report.mean_us, report.max_us), (2.0, 5.0, 9.0));
         assert!((report.sigma_us - (32.0f64 / 7.0).sqrt()).abs() < 1e-12);
         assert_eq!((report.p50_us, report.p99_us), (4.0, 9.0));
+    }
+
+    /// The host has one link; by another nothing is sent, which is no reason to throw away what else was measured.
+    #[test]
+    fn what_cannot_be_sent_is_lost_with_its_reason_and_the_next_is_asked() {
+        let mut session =
+            Session::open(&["sim:line:1".parse().unwrap()], &crate::session::OpenOptions::default()).unwrap();
+        let to = session.destination(&"/5".parse().unwrap());
+        let mut results = Vec::new();
+        let options = PingOptions { count: 3, ..PingOptions::default() };
+        let report = session.ping(&to, &options, &mut |_, result| results.push(result)).unwrap();
+        assert_eq!((report.sent, report.answered, report.lost), (3, 0, 3));
+        assert!(results.iter().all(|result| matches!(result, PingResult::Unsent { .. })), "{results:?}");
     }
 
     #[test]

@@ -114,3 +114,30 @@ fn a_watch_tells_what_is_lost() {
     let names: BTreeSet<_> = lost.filter_map(|change| change["device"].as_str()).collect();
     assert_eq!(names, BTreeSet::from(["hub-1", "hub-2"]), "{changes}");
 }
+
+/// A watch in virtual time runs for a day of it; Ctrl-C and a polite request to end are heard all the same.
+#[cfg(unix)]
+#[test]
+fn a_watch_in_virtual_time_hears_ctrl_c() {
+    for signal in ["-INT", "-TERM"] {
+        let line = ["scan", "--link", "sim:line:1", "--watch", "--for", "30000000"];
+        let mut child = osap().args(line).stdout(Stdio::piped()).spawn().unwrap();
+        let mut first = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut first).unwrap();
+        std::thread::sleep(Duration::from_millis(300));
+        assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
+        let mut waits = 0;
+        let status = loop {
+            match child.try_wait().unwrap() {
+                Some(status) => break status,
+                None if waits < 100 => std::thread::sleep(Duration::from_millis(100)),
+                None => {
+                    child.kill().unwrap();
+                    panic!("{signal} was not heard");
+                }
+            }
+            waits += 1;
+        };
+        assert!(status.success(), "{signal}: {status}");
+    }
+}

@@ -6,14 +6,18 @@ use super::output::printable;
 use super::progress::Progress;
 use super::table::{Align, Table};
 use super::{CliError, Exit, Output};
-use crate::bench::{BenchOptions, BenchReport};
+use crate::bench::{BenchOptions, BenchReport, LOST_IN_A_ROW_MAX};
 use crate::core::REQUEST_BYTES_MAX;
+use crate::map::{Device, RouteText};
+use crate::session::ECHO_PORT;
 use clap::Args;
 use osap_protocol::header::PORT_HEADER_BYTES;
 use osap_protocol::transport::SequencedHeader;
 use osap_runtime::sequenced::Destination;
 use serde::Serialize;
 
+/// What a device calls the port that sends back what it gets.
+const ECHO_TYPE: &str = "echo";
 /// Sizes measured where none are given, bytes; those that do not fit the route are left out.
 const SIZES: [usize; 4] = [8, 32, 128, 224];
 
@@ -21,7 +25,7 @@ const SIZES: [usize; 4] = [8, 32, 128, 224];
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  osap bench 'Load Cell'\n  osap bench /0/3 --sizes 12,64 --windows 1,2,4 -n 1000")]
 pub struct BenchArgs {
-    /// Device: its name, the head of its unique id, or its route such as /0/3
+    /// Device: its name, the head of its unique id, or a route such as /0/3, which is then the way that is measured
     device: String,
     /// Payloads, bytes [default: 8,32,128,224, as far as they fit]
     #[arg(long, value_name = "BYTES", value_delimiter = ',')]
@@ -45,27 +49,55 @@ struct Document<'a> {
 
 pub(super) fn run(args: &BenchArgs, output: &mut Output<'_>) -> Result<Exit, CliError> {
     let mut scanned = Scanned::open(&args.links, output)?;
-    let device = scanned.device(&args.device, "bench")?.clone();
-    let to = scanned.session.destination_of(&device);
+    let (device, to) = scanned.target(&args.device, "bench")?;
+    has_echo(&device, &to, args)?;
     let sizes = sizes(args, &to)?;
     let steps = u64::try_from(sizes.len() * args.windows.len()).unwrap_or(u64::MAX);
     let progress = Progress::bar(output, &printable(&device.label()), steps);
     let mut reports = Vec::new();
-    for payload_bytes in sizes {
-        for window in &args.windows {
-            let options = BenchOptions { payload_bytes, count: args.count, window: usize::from(*window) };
-            reports.push(scanned.session.bench(&to, &options).map_err(|error| scanned.failed(&error))?);
-            progress.step();
+    for (payload_bytes, window) in sizes.into_iter().flat_map(|size| args.windows.iter().map(move |n| (size, *n))) {
+        let options = BenchOptions { payload_bytes, count: args.count, window: usize::from(window) };
+        reports.push(scanned.session.bench(&to, &options).map_err(|error| scanned.failed(&error))?);
+        progress.step();
+        if is_given_up(&reports, args) {
+            break;
         }
     }
     drop(progress);
     if output.json() {
-        output.document("bench", &Document { device: DeviceId::from(&device), reports: &reports })?;
+        let device = DeviceId { route: to.route.clone().into(), ..DeviceId::from(&device) };
+        output.document("bench", &Document { device, reports: &reports })?;
     } else {
         output.text(table(&reports))?;
     }
+    if is_given_up(&reports, args) {
+        let what = format!("{} lost {LOST_IN_A_ROW_MAX} echoes in a row and was given up", printable(&device.label()));
+        let next = format!("see why packets are dropped: `{}`", scanned.counters_hint());
+        return Err(CliError::new(Exit::NoAnswer, what, place(&to, args), next));
+    }
     let is_whole = reports.iter().all(|report| report.lost == 0 && report.corrupt == 0);
     scanned.finish(if is_whole { Exit::Ok } else { Exit::Differs })
+}
+
+/// Whether the last of them ended early.
+fn is_given_up(reports: &[BenchReport], args: &BenchArgs) -> bool {
+    reports.last().is_some_and(|report| report.sent < args.count)
+}
+
+fn place(to: &Destination, args: &BenchArgs) -> String {
+    format!("{} over {}", RouteText::from(to.route.clone()), args.links.place())
+}
+
+/// Asks the map, since a port that is not there is as silent as a device that is gone.
+fn has_echo(device: &Device, to: &Destination, args: &BenchArgs) -> Result<(), CliError> {
+    let echo = device.ports.iter().find(|port| port.index == ECHO_PORT.get());
+    // A device that told none of its ports may have one all the same.
+    if device.ports.is_empty() || echo.is_some_and(|port| port.type_name == ECHO_TYPE) {
+        return Ok(());
+    }
+    let route = RouteText::from(to.route.clone());
+    let next = format!("`{}` shows its ports", args.links.command(&format!("info {route}")));
+    Err(CliError::new(Exit::Refused, format!("{} has no echo port", printable(&device.label())), place(to, args), next))
 }
 
 /// The sizes asked for, where each fits a packet of the route.

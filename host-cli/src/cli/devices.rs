@@ -4,13 +4,14 @@
 //! - **Invariant:** never the first of several: a name that two devices have is an error that lists both.
 
 use super::links::{LinkArgs, quoted};
-use super::output::printable;
+use super::output::{count, printable};
 use super::progress::Progress;
 use super::{CliError, Exit, Output};
 use crate::error::{AskError, Place};
-use crate::map::{Device, NetworkMap, ResolveError, RouteText};
+use crate::map::{Device, Gateway, LeadsTo, NetworkMap, ResolveError, RouteText};
 use crate::scan::{ScanCost, ScanError, ScanOptions, ScanPhase, ScanProgress};
 use crate::session::Session;
+use osap_runtime::sequenced::Destination;
 use serde::Serialize;
 
 /// A network that was scanned.
@@ -68,6 +69,21 @@ impl<'a> Scanned<'a> {
     /// Where there is none or several.
     pub fn device(&self, text: &str, command: &str) -> Result<&Device, CliError> {
         self.map.resolve(text).map_err(|error| self.not_resolved(&error, command))
+    }
+
+    /// The device that `text` means, and the way to it: the one that was named where it is a route, be it through a loop.
+    ///
+    /// # Errors
+    /// As [`Scanned::device`].
+    pub fn target(&self, text: &str, command: &str) -> Result<(Device, Destination), CliError> {
+        let device = self.device(text, command)?.clone();
+        let to = self.session.destination_of(&device);
+        let Ok(route) = text.parse::<RouteText>() else { return Ok((device, to)) };
+        if route == *device.route() {
+            return Ok((device, to));
+        }
+        let mtu_bytes = packet_bytes_along(&self.map, &route).unwrap_or(to.mtu_bytes);
+        Ok((device, Destination { mtu_bytes, ..self.session.destination(&route) }))
     }
 
     /// The end of a command: `exit`, unless the capture that was asked for is not whole.
@@ -129,7 +145,10 @@ impl<'a> Scanned<'a> {
 
     fn not_resolved(&self, error: &ResolveError, command: &str) -> CliError {
         let scan = format!("`{}` lists all there are", self.links.command("scan"));
-        let found = format!("{}, where a scan found {} devices", self.links.place(), self.map.devices.len());
+        let found = {
+            let devices = count(self.map.devices.len(), "device", "devices");
+            format!("{}, where a scan found {devices}", self.links.place())
+        };
         match error {
             ResolveError::NotFound { text, near } => {
                 let what = format!("no device is called {text:?}, and no unique id begins so");
@@ -168,7 +187,7 @@ fn scan(session: &mut Session, links: &LinkArgs, progress: &Progress) -> Result<
             ScanPhase::Closing => "looking whether all are still there",
         };
         let ScanProgress { depth, done, of, devices, .. } = now;
-        progress.tell(format!("{devices} devices; {phase}, {depth} steps away: {done} of {of}"));
+        progress.tell(format!("{}; {phase}, {depth} steps away: {done} of {of}", count(devices, "device", "devices")));
     };
     match session.scan(&ScanOptions::default(), &mut tell) {
         Ok(report) => Ok((report.map, report.cost)),
@@ -177,6 +196,19 @@ fn scan(session: &mut Session, links: &LinkArgs, progress: &Progress) -> Result<
             Err(CliError::new(Exit::NoAnswer, error.to_string(), links.place(), "report it with this command line"))
         }
     }
+}
+
+/// The smallest packet of both ends of all links along `route`; `None` where the map does not know them.
+fn packet_bytes_along(map: &NetworkMap, route: &RouteText) -> Option<u16> {
+    let (_, gateways) = map.follow(route)?;
+    let far = |gateway: &Gateway| match gateway.leads_to {
+        Some(LeadsTo::Device { device, gateway }) => {
+            let ends = &map.devices.get(device)?.gateways;
+            ends.iter().find(|end| Some(end.index) == gateway).map(|end| end.mtu_bytes)
+        }
+        _ => None,
+    };
+    gateways.into_iter().flat_map(|gateway| [Some(gateway.mtu_bytes), far(gateway)]).flatten().min()
 }
 
 /// The map as text can show it: names from devices cannot move a terminal's cursor or break a line.

@@ -5,17 +5,20 @@ use super::links::LinkArgs;
 use super::output::{BAD, FAINT, printable};
 use super::progress::Progress;
 use super::{CliError, Exit, Output};
+use crate::error::RequestText;
+use crate::map::{Device, RouteText};
 use crate::ping::{PingOptions, PingReport, PingResult};
 use clap::Args;
 use fixed_math::time::Span;
 use osap_protocol::discovery::Query;
+use osap_runtime::sequenced::{Destination, RequestError};
 use serde::Serialize;
 
 /// Measures round trips to a device
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  osap ping 'Load Cell'\n  osap ping /0/3 -n 1000 --interval-ms 1 --json")]
 pub struct PingArgs {
-    /// Device: its name, the head of its unique id, or its route such as /0/3
+    /// Device: its name, the head of its unique id, or a route such as /0/3, which is then the way that is measured
     device: String,
     /// How often to ask
     #[arg(short = 'n', long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..))]
@@ -42,8 +45,7 @@ struct Document<'a> {
 
 pub(super) fn run(args: &PingArgs, output: &mut Output<'_>) -> Result<Exit, CliError> {
     let mut scanned = Scanned::open(&args.links, output)?;
-    let device = scanned.device(&args.device, "ping")?.clone();
-    let mut to = scanned.session.destination_of(&device);
+    let (device, mut to) = scanned.target(&args.device, "ping")?;
     to.ttl_us = args.ttl_us.unwrap_or(to.ttl_us);
     let interval = Span::from_us(u64::from(args.interval_ms) * 1_000);
     let options = PingOptions { count: args.count, interval, query: Query::TimeControl };
@@ -62,18 +64,19 @@ pub(super) fn run(args: &PingArgs, output: &mut Output<'_>) -> Result<Exit, CliE
     written?;
     let report = report.map_err(|error| scanned.failed(&error))?;
     if output.json() {
-        let document = Document { device: DeviceId::from(&device), round_trips_us: &round_trips, report: &report };
+        let device = DeviceId { route: to.route.clone().into(), ..DeviceId::from(&device) };
+        let document = Document { device, round_trips_us: &round_trips, report: &report };
         output.document("ping", &document)?;
     } else {
-        summary(&printable(&device.label()), &report, output)?;
+        summary(&by(&device, &to), &report, output)?;
     }
-    ended(&report, &device, args, &mut scanned)
+    ended(&report, (&device, &to), args, &mut scanned)
 }
 
 fn micros(result: PingResult) -> Option<f64> {
     match result {
         PingResult::Answered(span) => Some(crate::ping::us(span)),
-        PingResult::Late { .. } | PingResult::Lost { .. } => None,
+        PingResult::Late { .. } | PingResult::Lost { .. } | PingResult::Unsent { .. } => None,
     }
 }
 
@@ -83,6 +86,10 @@ fn line(number: u32, result: PingResult) -> String {
         (_, Some(us)) => format!("{number:>4}  {us:>9.1} µs"),
         (PingResult::Lost { tries }, None) => format!("{BAD}{number:>4}  lost: no answer to {tries} tries{BAD:#}"),
         (PingResult::Late { tries }, None) => format!("{BAD}{number:>4}  late: answered at try {tries}{BAD:#}"),
+        (PingResult::Unsent { error }, None) => {
+            let why = RequestError::Send(error);
+            format!("{BAD}{number:>4}  lost: not sent: {}{BAD:#}", RequestText(&why))
+        }
         (PingResult::Answered(_), None) => String::new(),
     }
 }
@@ -99,16 +106,22 @@ fn summary(label: &str, report: &PingReport, output: &mut Output<'_>) -> Result<
     Ok(())
 }
 
+/// What is called how, and by which way where that is not its first.
+fn by(device: &Device, to: &Destination) -> String {
+    let (label, route) = (printable(&device.label()), RouteText::from(to.route.clone()));
+    if route == *device.route() { label } else { format!("{label} by {route}") }
+}
+
 /// Silence throughout is a failure, silence at times a finding.
 fn ended(
     report: &PingReport,
-    device: &crate::map::Device,
+    (device, to): (&Device, &Destination),
     args: &PingArgs,
     scanned: &mut Scanned<'_>,
 ) -> Result<Exit, CliError> {
     if report.lost == report.sent {
         let what = format!("{} answered none of {} questions", printable(&device.label()), report.sent);
-        let place = format!("{} over {}", device.route(), args.links.place());
+        let place = format!("{} over {}", RouteText::from(to.route.clone()), args.links.place());
         let next = match args.ttl_us {
             Some(ttl_us) => format!("leave out --ttl-us: {ttl_us} µs may be too short for its wires"),
             None => format!("see why packets are dropped: `{}`", scanned.counters_hint()),

@@ -95,16 +95,17 @@ pub(super) fn findings(map: &NetworkMap, output: &mut Output<'_>) {
 
 /// Tells changes until there is no time left.
 fn watch(args: &ScanArgs, scanned: &mut Scanned<'_>, output: &mut Output<'_>) -> Result<(), CliError> {
-    let until = Until::new(args.watch_for);
+    let simulated = scanned.session.network().is_simulated();
+    // In virtual time `--for` is virtual too; what is left for real time is Ctrl-C.
+    let until = Until::new(args.watch_for.filter(|_| !simulated));
     output.say("Watching; Ctrl-C ends it.");
     output.flush()?;
-    let simulated = scanned.session.network().is_simulated();
     let end = args.watch_for.filter(|_| simulated).map(|time| scanned.session.network().now() + span(time));
     loop {
         let is_over = match end {
             Some(end) => {
                 scanned.session.network().pause(span(LOOK_EVERY)).map_err(|error| args.links.stopped(&error))?;
-                scanned.session.network().now() >= end
+                scanned.session.network().now() >= end || !until.pause(Duration::ZERO)
             }
             None => !until.pause(LOOK_EVERY),
         };
