@@ -228,7 +228,9 @@ impl Display for RequestText<'_> {
                 write!(f, "the request has {len} bytes, at most {limit} can be kept for a retry; ask for less at once")
             }
             RequestError::Send(SendError::Refused(cause)) => {
-                write!(f, "{}. Check the link and the first step of the route", cause.meaning())
+                // a cause's meaning is a whole sentence
+                let meaning = cause.meaning().trim_end_matches('.');
+                write!(f, "{meaning}. Check the link and the first step of the route")
             }
             RequestError::Send(error) => write!(f, "{error}"),
         }
@@ -246,6 +248,21 @@ impl Display for MessageText<'_> {
             MessageError::TooLong { len, limit } => {
                 write!(f, "the message has {len} bytes, the route carries {limit}")
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use osap_protocol::DropCause;
+
+    /// No cause brings a full stop of its own before that of the sentence.
+    #[test]
+    fn sentences_end_once() {
+        for cause in DropCause::ALL {
+            let text = RequestText(&RequestError::Send(SendError::Refused(*cause))).to_string();
+            assert!(!text.contains("..") && text.contains(". Check the link"), "{text}");
         }
     }
 }
