@@ -138,14 +138,16 @@ fn told(device: &Device) -> String {
 
 fn compare(old: &Keyed, new: &Keyed, key: &Key, (before, after): (&Device, &Device), changes: &mut Vec<Change>) {
     let (was, is) = (old.places_of(key), new.places_of(key));
-    if !was.is_empty() && was.is_disjoint(&is) {
+    // by the same way it is reached past somebody who was swapped, but stands where it stood
+    if !was.is_empty() && was.is_disjoint(&is) && before.route() != after.route() {
         let (before, to) = (before.route().clone(), after.route().clone());
         changes.push(Change::Moved { device: after.label(), before, after: to });
     }
     if before.boot_epoch != after.boot_epoch {
         changes.push(Change::Rebooted { device: after.label(), route: after.route().clone() });
     }
-    if before.name != after.name {
+    // whoever did not tell its name has not given it up
+    if before.name != after.name && !before.name.is_empty() && !after.name.is_empty() {
         let (route, name) = (after.route().clone(), before.name.clone());
         changes.push(Change::Renamed { route, before: name, after: after.name.clone() });
     }

@@ -69,6 +69,13 @@ pub enum Finding {
         /// Which limit.
         what: String,
     },
+    /// A link of the host itself by which nobody was found.
+    SilentLink {
+        /// What it is called: `tcp:127.0.0.1:4100`.
+        link: String,
+        /// Why it is closed; `None` where it is open.
+        reason: Option<String>,
+    },
 }
 
 impl Finding {
@@ -82,7 +89,7 @@ impl Finding {
             | Self::FellSilent { device }
             | Self::Incomplete { device, .. }
             | Self::TooSlow { device, .. } => (Some(*device), &[]),
-            Self::Limit { .. } => (None, &[]),
+            Self::Limit { .. } | Self::SilentLink { .. } => (None, &[]),
         };
         one.into_iter().chain(several.iter().copied())
     }
@@ -103,7 +110,7 @@ impl Finding {
             | Self::FellSilent { device }
             | Self::Incomplete { device, .. }
             | Self::TooSlow { device, .. } => *device = new[*device],
-            Self::Limit { .. } => {}
+            Self::Limit { .. } | Self::SilentLink { .. } => {}
         }
         self
     }
@@ -148,6 +155,10 @@ impl Finding {
                 )
             }
             Self::Limit { what } => format!("not everything was followed: {what}"),
+            Self::SilentLink { link, reason: Some(reason) } => format!("{link} is closed: {reason}"),
+            Self::SilentLink { link, reason: None } => format!(
+                "{link} is open and nobody answers: another program may be using it, or its key or check differs"
+            ),
         })
     }
 }

@@ -15,7 +15,7 @@ mod read;
 mod visit;
 mod visits;
 
-use crate::core::Statistics;
+use crate::core::{EventKind, Statistics};
 use crate::error::NetworkError;
 use crate::map::{Finding, NetworkMap, RouteText};
 use crate::network::Network;
@@ -23,7 +23,7 @@ use crate::session::{Session, Window};
 use fixed_math::time::{LocalTicks, Span};
 use found::{Candidate, Edge, Found, Silence};
 use osap_protocol::RouteBuf;
-use osap_protocol::discovery::UniqueId;
+use osap_protocol::discovery::{GatewayKind, LinkInfo, UniqueId};
 use std::collections::{BTreeMap, BTreeSet};
 use visits::Visits;
 
@@ -184,8 +184,35 @@ impl<'a> Scanner<'a> {
         // the search is over, but what changed at the very end is read all the same
         self.read(&layer)?;
         self.read_missing()?;
+        self.note_silent_links()?;
         let cost = cost(&before.1, &self.network.statistics()?, self.network.now().since(before.0));
         Ok(ScanReport { map: self.assemble(), cost })
+    }
+
+    /// Tells the host's own links that led nowhere, and why, so that nobody takes a port that is taken for a machine that is off.
+    fn note_silent_links(&mut self) -> Result<(), NetworkError> {
+        let local = self.network.local()?;
+        let led: BTreeSet<u8> =
+            self.edges.iter().filter(|edge| edge.from == 0).map(|edge| edge.step.gateway().get()).collect();
+        let is_silent = |(index, link): &(u8, &LinkInfo)| {
+            link.kind == GatewayKind::Link && (!link.open || (link.neighbour.is_none() && !led.contains(index)))
+        };
+        let silent: Vec<(u8, &LinkInfo)> = (0..).zip(&local.links).filter(is_silent).collect();
+        // events are taken only where there is something to explain: others wait for them too
+        let is_any_closed = silent.iter().any(|(_, link)| !link.open);
+        let events = if is_any_closed { self.network.events()? } else { Vec::new() };
+        for (index, link) in silent {
+            let downs = events.iter().rev().filter(|event| event.gateway.get() == index);
+            let told = downs.filter_map(|event| match &event.kind {
+                EventKind::Down(reason) => Some(reason.clone()),
+                _ => None,
+            });
+            let unknown = || "it has not opened; look whether it is there, and try again".to_owned();
+            let reason = (!link.open).then(|| told.into_iter().next().unwrap_or_else(unknown));
+            let name = local.link_names.get(usize::from(index)).cloned().unwrap_or_default();
+            self.findings.insert(Finding::SilentLink { link: name, reason });
+        }
+        Ok(())
     }
 
     /// Reads a layer of devices and goes one step further, until there is none, `[DSC-08]`.

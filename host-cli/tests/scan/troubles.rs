@@ -72,6 +72,25 @@ fn a_swap_is_told_as_one() {
     assert_eq!(diff(&after, &after), []);
 }
 
+/// The same in the midst of a line: whoever hangs behind the one that was swapped has not moved.
+#[test]
+fn what_is_behind_a_swap_has_not_moved() {
+    let before = scan(SimNetwork::line(4, LinkModel::WIRE, SEED)).map;
+    let mut network = SimNetwork::line(4, LinkModel::WIRE, SEED);
+    let second = node(&mut network, 2);
+    network.world().swap(second, factory(UniqueId([0xee; 12]), "spare"));
+    network.world().run_for(Span::from_us(2_000_000));
+    let mut after = scan(network).map;
+    let told = |changes: &[Change]| changes.iter().map(ToString::to_string).collect::<Vec<_>>();
+    let changes = told(&diff(&before, &after));
+    assert!(changes.len() == 1 && changes[0].starts_with("swapped: spare "), "{changes:?}");
+
+    // a name that was not read is no other name
+    after.devices[4].name.clear();
+    assert_eq!(told(&diff(&before, &after)), changes);
+    assert_eq!(told(&diff(&after, &before)).len(), 1);
+}
+
 /// A branch that is lost is lost whole; a rename and a restart are told as such.
 #[test]
 fn losses_renames_and_restarts_are_told() {
@@ -225,6 +244,28 @@ fn assert_all_read(map: &NetworkMap, what: &str) {
     }
     let is_incomplete = |finding: &Finding| matches!(finding, Finding::Incomplete { device, .. } if !map.findings.contains(&Finding::FellSilent { device: *device }));
     assert!(!map.findings.iter().any(is_incomplete), "{what}: {:?}", findings(map));
+}
+
+/// A link of the host that leads nowhere is told, with why: closed, or open and nobody there.
+#[test]
+fn a_link_that_leads_nowhere_is_told() {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let spec = format!("tcp:{}", listener.local_addr().unwrap());
+    let map_now = || {
+        let mut session = Session::open(&[spec.parse().unwrap()], &OpenOptions::default()).unwrap();
+        scan_again(&mut session).map
+    };
+    // the system takes the connection, and nobody ever reads from it
+    let text =
+        format!("{spec} is open and nobody answers: another program may be using it, or its key or check differs");
+    assert_eq!(findings(&map_now()), [text]);
+
+    drop(listener);
+    let map = map_now();
+    let [Finding::SilentLink { link, reason: Some(reason) }] = &map.findings[..] else { panic!("{:?}", map.findings) };
+    assert_eq!(*link, spec);
+    assert!(reason.to_lowercase().contains("refused"), "{reason}");
+    assert_eq!(findings(&map), [format!("{spec} is closed: {reason}")]);
 }
 
 /// `[DSC-03]`: frames that come twice and late repeat visits after later ones; that is neither a loop nor a second device.
