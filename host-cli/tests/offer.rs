@@ -141,3 +141,21 @@ fn a_watch_in_virtual_time_hears_ctrl_c() {
         assert!(status.success(), "{signal}: {status}");
     }
 }
+
+/// Its devices boot again with another epoch, as hardware does: a map of before tells.
+#[test]
+fn a_restart_of_the_machine_is_seen() {
+    let file = std::env::temp_dir().join(format!("osap-restart-{}.json", std::process::id()));
+    let map = |option: &str| {
+        let machine = Running::start(&["sim", "line:2", "--listen", "tcp:127.0.0.1:0"]);
+        let links = links(&machine.document("osap.sim/1"));
+        osap().args(["map", option]).arg(&file).args(links).output().unwrap()
+    };
+    let saved = map("--save");
+    assert!(saved.status.success(), "{saved:?}");
+    let compared = map("--compare");
+    std::fs::remove_file(&file).unwrap();
+    let changes: Value = serde_json::from_slice(&compared.stdout).unwrap();
+    let rebooted = changes["changes"].as_array().unwrap().iter().filter(|change| change["kind"] == "rebooted").count();
+    assert_eq!((compared.status.code(), rebooted), (Some(1), 2), "{changes}");
+}

@@ -152,6 +152,7 @@ pub struct World {
     rng: Pcg64,
     seed: u64,
     ambient_faults: Option<FaultConfig>,
+    first_epoch: u32,
     stats: Stats,
     digest: u64,
     walk: Option<Vec<WalkEvent>>,
@@ -174,6 +175,7 @@ impl World {
             rng: Pcg64::seed_from_u64(seed),
             seed,
             ambient_faults: None,
+            first_epoch: 1,
             stats: Stats::default(),
             digest: seed,
             walk: None,
@@ -184,6 +186,12 @@ impl World {
     /// Faults of every link and bus made from now on that brings none of its own: a whole machine on bad cables.
     pub const fn set_ambient_faults(&mut self, faults: Option<FaultConfig>) {
         self.ambient_faults = faults;
+    }
+
+    /// The boot epoch of the first boot of all devices added or swapped in from now on; 1 where nobody says. A world that stands for
+    /// a machine that ran before says another one, or nobody could see that it was off in between.
+    pub const fn set_first_epoch(&mut self, epoch: u32) {
+        self.first_epoch = epoch;
     }
 
     /// Adds a node that cannot be reset.
@@ -202,9 +210,11 @@ impl World {
 
     /// Adds a device and boots it for the first time; [`World::reset`] boots it again.
     pub fn add_device(&mut self, mut factory: Factory, processor: Processor, clock: ClockModel) -> NodeId {
-        let endpoint = factory(Boot { epoch: 1, name: None });
+        let epoch = self.first_epoch;
+        let endpoint = factory(Boot { epoch, name: None });
         let node = self.add_node(endpoint, processor, clock);
-        self.stations[node.at()].factory = Some(factory);
+        let station = &mut self.stations[node.at()];
+        (station.factory, station.epoch) = (Some(factory), epoch);
         node
     }
 
@@ -306,9 +316,10 @@ impl World {
     /// # Panics
     /// Where the new device lacks a gateway that is wired.
     pub fn swap(&mut self, node: NodeId, mut factory: Factory) {
-        let endpoint = factory(Boot { epoch: 1, name: None });
+        let epoch = self.first_epoch;
+        let endpoint = factory(Boot { epoch, name: None });
         let station = &mut self.stations[node.at()];
-        station.epoch = 1;
+        station.epoch = epoch;
         station.name = None;
         station.factory = Some(factory);
         self.replace(node, endpoint);

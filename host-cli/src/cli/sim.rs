@@ -20,7 +20,7 @@ use osap_protocol::framing::Check;
 use osap_sim::faults::FaultConfig;
 use serde::Serialize;
 use std::path::PathBuf;
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// Offers a simulated machine in real time, on TCP ports or pseudo-terminals
 #[derive(Debug, Args)]
@@ -77,7 +77,7 @@ pub(super) fn run(args: &SimArgs, output: &mut Output<'_>) -> Result<Exit, CliEr
     let key = args.key.as_deref().map(|file| load_key(file, output)).transpose()?;
     let options = LinkOptions { key, faults: args.fault, ..LinkOptions::default() };
     let seed = args.machine.seed.unwrap_or(args.seed);
-    let mut machine = Machine::build(args.machine.kind, seed);
+    let mut machine = Machine::build(args.machine.kind, seed, boot_epoch());
     if let Some(file) = &args.capture {
         machine.capture(file)?;
     }
@@ -92,6 +92,15 @@ pub(super) fn run(args: &SimArgs, output: &mut Output<'_>) -> Result<Exit, CliEr
     offer.run(&until, output);
     offer.sum_up(output);
     Ok(Exit::Ok)
+}
+
+/// Another number with each start of this program, as hardware counts its boots: milliseconds, since scripts start it again within
+/// a second. Of a clock before 1970 nothing is known, and 1 will do.
+fn boot_epoch() -> u32 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).map_or(1, |since| since.as_millis());
+    #[expect(clippy::cast_possible_truncation, reason = "any 32 bits do that differ from start to start")]
+    let epoch = since as u32;
+    epoch
 }
 
 /// Tells where the machine can be found. Flushed at once: whoever started us waits for it.

@@ -25,7 +25,7 @@ use std::collections::VecDeque;
 /// What a device finds when it boots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Boot<'a> {
-    /// Counts its boots, from 1.
+    /// Counts its boots, from the world's first epoch.
     pub epoch: u32,
     /// The name kept in its non-volatile memory, where it was ever renamed.
     pub name: Option<&'a str>,

@@ -37,9 +37,10 @@ pub(super) struct Machine {
 }
 
 impl Machine {
-    /// The machine of `kind`; nobody is at its links yet.
-    pub(super) fn build(kind: SimKind, seed: u64) -> Self {
-        let world = World::new(seed);
+    /// The machine of `kind`, whose devices boot with `first_epoch`; nobody is at its links yet.
+    pub(super) fn build(kind: SimKind, seed: u64, first_epoch: u32) -> Self {
+        let mut world = World::new(seed);
+        world.set_first_epoch(first_epoch);
         let mut machine = match kind {
             SimKind::Printer => Self::printer(world),
             SimKind::Line { devices } => Self::behind(world, "hub-1", |world| {
