@@ -27,7 +27,7 @@ pub enum Exit {
     DeviceNotFound = 4,
     /// More than one does.
     DeviceAmbiguous = 5,
-    /// A device did not answer.
+    /// A device did not answer, or nobody did at all.
     NoAnswer = 6,
     /// A device refused what it was asked.
     Refused = 7,
@@ -68,7 +68,7 @@ impl Exit {
             Self::NoLink => "no link could be opened",
             Self::DeviceNotFound => "no device has this name, unique id or route",
             Self::DeviceAmbiguous => "several devices have this name or begin with this unique id",
-            Self::NoAnswer => "a device did not answer",
+            Self::NoAnswer => "a device did not answer, or nobody did on any link",
             Self::Refused => "a device refused what it was asked",
             Self::Io => "a file, pipe or socket could not be read or written",
             Self::KeyNeeded => "a link beyond this machine needs a key",

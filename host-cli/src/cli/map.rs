@@ -3,7 +3,7 @@
 use super::devices::{Scanned, shown};
 use super::links::LinkArgs;
 use super::output::{BAD, GOOD, printable};
-use super::scan::findings;
+use super::scan::{findings, wholeness};
 use super::table::{Align, Table};
 use super::{CliError, Exit, Output};
 use crate::map::{Change, LinkEnd, NetworkMap, diff};
@@ -38,6 +38,10 @@ struct Comparison<'a> {
 }
 
 pub(super) fn run(args: &MapArgs, output: &mut Output<'_>) -> Result<Exit, CliError> {
+    if args.dot && output.json() {
+        let next = "leave out one of them; the document of `osap --json map` has all that the graph shows";
+        return Err(CliError::new(Exit::Usage, "--dot and --json exclude each other", "the command line", next));
+    }
     // Read first: who gave a wrong file need not wait for a scan.
     let before = args.compare.as_deref().map(load).transpose()?;
     let mut scanned = Scanned::open(&args.links, output)?;
@@ -47,11 +51,13 @@ pub(super) fn run(args: &MapArgs, output: &mut Output<'_>) -> Result<Exit, CliEr
         show(&scanned.map, args.dot, output)?;
         Exit::Ok
     };
+    // What is kept is worth comparing with, be it whole or not.
     if let Some(file) = &args.save {
         let text = scanned.map.to_json() + "\n";
         std::fs::write(file, text).map_err(|error| CliError::file(file, "write the map", &error))?;
         output.say(format!("The map is in {}.", file.display()));
     }
+    let exit = if before.is_some() { exit } else { wholeness(&scanned, &args.links)? };
     scanned.finish(exit)
 }
 

@@ -6,12 +6,12 @@ use super::output::{FAINT, HINT, count, printable};
 use super::wait::{Until, parse_seconds};
 use super::{CliError, Exit, Output};
 use crate::error::AskError;
-use crate::map::{Change, Device, NetworkMap, diff};
+use crate::map::{Change, Device, Finding, NetworkMap, diff};
 use crate::scan::ScanCost;
 use crate::session::Answer;
 use clap::Args;
 use fixed_math::time::Span;
-use osap_protocol::discovery::{Query, RuntimeInfo, ScanId};
+use osap_protocol::discovery::{GatewayKind, Query, RuntimeInfo, ScanId};
 use serde::Serialize;
 use std::time::Duration;
 
@@ -54,9 +54,34 @@ pub(super) fn run(args: &ScanArgs, output: &mut Output<'_>) -> Result<Exit, CliE
         tree(&scanned.map, &scanned.cost, scanned.session.network().is_simulated(), output)?;
     }
     if args.watch {
+        // Whoever watches waits for what is not there yet.
         watch(args, &mut scanned, output)?;
+        return scanned.finish(Exit::Ok);
     }
-    scanned.finish(Exit::Ok)
+    let exit = wholeness(&scanned, &args.links)?;
+    scanned.finish(exit)
+}
+
+/// Whether the map shows all there is: a script shall not take a part for the whole.
+pub(super) fn wholeness(scanned: &Scanned<'_>, links: &LinkArgs) -> Result<Exit, CliError> {
+    let map = &scanned.map;
+    if map.devices.len() == 1 && map.root().gateways.iter().any(|gateway| gateway.kind == GatewayKind::Link) {
+        let next =
+            "check that the device is powered, and that the link, its rate and its check are those of its firmware";
+        return Err(CliError::new(Exit::NoAnswer, "nobody answers on any link", links.place(), next));
+    }
+    Ok(if map.silent.is_empty() && !map.findings.iter().any(is_loss) { Exit::Ok } else { Exit::Differs })
+}
+
+/// Whether something is missing from the map. The others tell of what is there, and was read.
+fn is_loss(finding: &Finding) -> bool {
+    !matches!(
+        finding,
+        Finding::DuplicateName { .. }
+            | Finding::DuplicateUniqueId { .. }
+            | Finding::PacketSizes { .. }
+            | Finding::Restarted { .. }
+    )
 }
 
 /// The tree, what it took to find it, and what was odd.
