@@ -47,7 +47,7 @@ const fn error_flag(cause: DropCause) -> u32 {
 #[derive(Debug, Error)]
 pub enum CaptureError {
     /// The writer failed, or refused a block.
-    #[error("cannot write the capture: {0}")]
+    #[error("cannot write the capture: {}", reason(.0))]
     Write(#[from] PcapError),
     /// More bytes than a capture's block can say.
     #[error("a packet of {len} bytes does not fit a capture")]
@@ -58,6 +58,14 @@ pub enum CaptureError {
     /// More interfaces than a capture can number.
     #[error("a capture cannot number another interface")]
     TooManyInterfaces,
+}
+
+/// What the system complains about, where it does: the writer's own words are those of a reader, whatever failed.
+fn reason(error: &PcapError) -> String {
+    match error {
+        PcapError::IoError(error) => error.to_string(),
+        other => other.to_string(),
+    }
 }
 
 /// An interface of one capture.
@@ -255,6 +263,12 @@ mod tests {
         let id = other.add_interface("a", 0).unwrap();
         let mut capture = Capture::new(Vec::new()).unwrap();
         assert!(matches!(capture.packet(id, LocalTicks::ZERO, Direction::Sent, &[]), Err(CaptureError::Write(_))));
+    }
+
+    #[test]
+    fn a_full_disk_is_called_so() {
+        let full = CaptureError::from(PcapError::IoError(std::io::ErrorKind::StorageFull.into()));
+        assert_eq!(full.to_string(), "cannot write the capture: no storage space");
     }
 
     #[test]
