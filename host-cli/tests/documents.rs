@@ -90,7 +90,9 @@ fn the_fields_that_scripts_read_are_there() {
 /// Each code that can be had without hardware, as a document that says what, where and what next.
 #[test]
 fn errors_are_documents_with_their_codes() {
-    let cases: [(&[&str], Exit); 7] = [
+    let cases: [(&[&str], Exit); 9] = [
+        (&["scan", "--colour"], Exit::Usage),
+        (&["map", "--dot", "--link", "sim:line:1"], Exit::Usage),
         (&["decode", "0g"], Exit::Usage),
         (&["scan", "--link", "tcp:127.0.0.1:1"], Exit::NoLink),
         (&["ping", "toaster", "--link", "sim:line:1"], Exit::DeviceNotFound),
@@ -121,10 +123,12 @@ fn man_pages_tell_the_exit_codes() {
     let folder = std::env::temp_dir().join(format!("osap-pages-{}", std::process::id()));
     let (exit, data, _) = documents(&["man", "--out", &folder.display().to_string()]);
     assert_eq!(exit, Exit::Ok);
-    let page = std::fs::read_to_string(folder.join("osap.1")).unwrap();
+    let [page, of_scan] = ["osap.1", "osap-scan.1"].map(|page| std::fs::read_to_string(folder.join(page)).unwrap());
     let pages = data[0]["pages"].as_array().unwrap().len();
     std::fs::remove_dir_all(&folder).unwrap();
-    assert!(Exit::ALL.iter().all(|exit| page.contains(exit.meaning())), "{page}");
+    for page in [page, of_scan] {
+        assert!(Exit::ALL.iter().all(|exit| page.contains(exit.meaning())), "{page}");
+    }
     // Itself, its fourteen commands and `key generate`.
     assert_eq!(pages, 1 + definition().get_subcommands().count() + 1);
 }

@@ -9,6 +9,9 @@ use osap_protocol::framing::Check;
 use std::io::{self, Read as _, Write};
 use thiserror::Error;
 
+/// Longest text read from standard input.
+const TEXT_BYTES_MAX: u64 = 16 << 20;
+
 /// Explains a packet or frame byte by byte
 #[derive(Clone, Debug, Args)]
 #[command(after_help = "Examples:\n  osap decode 05 e8 03 40 00 41 c0 18 01 00 2a\n  \
@@ -73,6 +76,12 @@ pub enum DecodeError {
     /// A check was named for something that has none.
     #[error("a packet has no check: leave out --check, or say --as frame")]
     CheckOfPacket,
+    /// Nothing between the blanks.
+    #[error("no bytes given")]
+    Empty,
+    /// More than anybody can have meant.
+    #[error("more than {} MiB of text; a packet or frame is far shorter, so give one at a time", TEXT_BYTES_MAX >> 20)]
+    TooMuch,
     /// Standard input failed.
     #[error("cannot read standard input: {0}")]
     Input(io::Error),
@@ -88,6 +97,9 @@ pub enum DecodeError {
 pub fn run(args: &DecodeArgs, json: bool, out: &mut (impl Write + ?Sized)) -> Result<Outcome, DecodeError> {
     let options = options(args)?;
     let bytes = parse_hex(&text(args)?)?;
+    if bytes.is_empty() {
+        return Err(DecodeError::Empty);
+    }
     let explanation = explain(&bytes, options);
     let written = if json {
         serde_json::to_writer(&mut *out, &explanation).map_err(io::Error::from).and_then(|()| writeln!(out))
@@ -113,9 +125,17 @@ fn text(args: &DecodeArgs) -> Result<String, DecodeError> {
     if args.hex != ["-"] {
         return Ok(args.hex.join(" "));
     }
-    let mut text = String::new();
-    io::stdin().read_to_string(&mut text).map_err(DecodeError::Input)?;
-    Ok(text)
+    read(io::stdin())
+}
+
+/// All of `input`, unless it goes on and on.
+fn read(input: impl io::Read) -> Result<String, DecodeError> {
+    let mut text = Vec::new();
+    input.take(TEXT_BYTES_MAX + 1).read_to_end(&mut text).map_err(DecodeError::Input)?;
+    if text.len() as u64 > TEXT_BYTES_MAX {
+        return Err(DecodeError::TooMuch);
+    }
+    String::from_utf8(text).map_err(|error| DecodeError::Input(io::Error::new(io::ErrorKind::InvalidData, error)))
 }
 
 #[cfg(test)]
@@ -170,6 +190,13 @@ mod tests {
         }
         let (outcome, _) = decoded("--as packet --check crc16 04", false);
         assert!(matches!(outcome, Err(DecodeError::CheckOfPacket)));
+    }
+
+    #[test]
+    fn nothing_is_no_packet_and_no_end_is_too_much() {
+        assert!(matches!(decoded(",", false), (Err(DecodeError::Empty), text) if text.is_empty()));
+        assert!(matches!(read(io::repeat(b'0')), Err(DecodeError::TooMuch)));
+        assert_eq!(read(&b"05 e8"[..]).unwrap(), "05 e8");
     }
 
     #[test]

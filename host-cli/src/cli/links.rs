@@ -163,15 +163,20 @@ impl LinkArgs {
     }
 }
 
+/// What to do where UDP is wanted beyond this computer, or with a key.
+const UDP_NEXT: &str = "UDP stays on this computer; use tcp with `--key FILE`";
+
 /// What to do about a link that does not start.
 pub(super) fn link_next(error: &LinkError) -> (Exit, String) {
     let (exit, next) = match error {
-        LinkError::KeyNeeded { .. } | LinkError::UdpBeyondLoopback { .. } => {
+        LinkError::KeyNeeded { .. } => {
             (Exit::KeyNeeded, "make a key with `osap key generate machine.key` and give both ends `--key machine.key`")
         }
+        // One advice for both: to make a key and to leave it out again would lead in a circle.
+        LinkError::UdpBeyondLoopback { .. } => (Exit::KeyNeeded, UDP_NEXT),
+        LinkError::KeyUnused { .. } => (Exit::Usage, UDP_NEXT),
         LinkError::ListenOnly { .. }
         | LinkError::OpenOnly { .. }
-        | LinkError::KeyUnused { .. }
         | LinkError::CheckUnused { .. }
         | LinkError::Mtu { .. } => (Exit::Usage, "see `osap scan --help` for what a link can be"),
         LinkError::Resolve { .. } => (Exit::NoLink, "check the name, or give the address in digits"),
@@ -231,5 +236,12 @@ mod tests {
         let (exit, next) = link_next(&LinkError::KeyNeeded { address: ([10, 0, 0, 1], 4100).into() });
         assert_eq!(exit, Exit::KeyNeeded);
         assert!(next.contains("`osap key generate"));
+    }
+
+    #[test]
+    fn advice_about_udp_does_not_lead_in_a_circle() {
+        let beyond = link_next(&LinkError::UdpBeyondLoopback { address: ([10, 0, 0, 1], 4100).into() });
+        let unused = link_next(&LinkError::KeyUnused { spec: "udp:10.0.0.1:4100".to_owned() });
+        assert_eq!((beyond.1.as_str(), unused.1.as_str()), (UDP_NEXT, UDP_NEXT));
     }
 }

@@ -19,11 +19,18 @@ struct Document {
     pages: Vec<PathBuf>,
 }
 
+/// A page is read by itself, so that each tells the codes; help has them once, on `osap --help`.
+fn with_codes(command: clap::Command) -> clap::Command {
+    let own = command.get_after_help().map(|text| format!("{text}\n\n")).unwrap_or_default();
+    command.after_help(own + &Exit::table())
+}
+
 pub(super) fn run(args: &ManArgs, output: &mut Output<'_>) -> Result<Exit, CliError> {
     let failed = |error| CliError::file(&args.out, "write the man pages", &error);
     std::fs::create_dir_all(&args.out).map_err(failed)?;
     // Nobody needs a page that says "osap help scan" is the same as "osap scan --help".
-    clap_mangen::generate_to(definition().disable_help_subcommand(true), &args.out).map_err(failed)?;
+    let definition = definition().disable_help_subcommand(true).mut_subcommands(with_codes);
+    clap_mangen::generate_to(definition, &args.out).map_err(failed)?;
     let mut pages = Vec::new();
     for entry in std::fs::read_dir(&args.out).map_err(failed)? {
         let path = entry.map_err(failed)?.path();

@@ -100,8 +100,14 @@ pub fn run<A: Into<OsString> + Clone>(
     talk: &mut dyn Write,
     progress: bool,
 ) -> Exit {
-    let cli = match Cli::try_parse_from(arguments) {
+    let arguments: Vec<OsString> = arguments.into_iter().map(Into::into).collect();
+    let cli = match Cli::try_parse_from(&arguments) {
         Ok(cli) => cli,
+        // clap tells nothing of a command line that it does not take, not even that it wanted documents
+        Err(error) if error.use_stderr() && wants_documents(&arguments) => {
+            Output::new(out, talk, true, progress).fail(&misused(&error));
+            return Exit::Usage;
+        }
         Err(error) => return tell(&error, out, talk),
     };
     let mut output = Output::new(out, talk, cli.json, progress);
@@ -145,6 +151,24 @@ fn decoded(args: &decode::DecodeArgs, output: &mut Output<'_>) -> Result<Exit, C
             Err(CliError::new(exit, error.to_string(), "the digits given", next))
         }
     }
+}
+
+/// Whether `--json` stands among the options; what follows `--` is none.
+fn wants_documents(arguments: &[OsString]) -> bool {
+    arguments.iter().take_while(|argument| *argument != "--").any(|argument| argument == "--json")
+}
+
+/// clap's complaint as an error of ours: its first paragraph, the rest of which repeats the usage.
+fn misused(error: &clap::Error) -> CliError {
+    let text = error.render().to_string();
+    let first = text.split("\n\n").next().unwrap_or_default().split_whitespace().collect::<Vec<_>>().join(" ");
+    let what = first.strip_prefix("error: ").unwrap_or(&first);
+    CliError::new(
+        Exit::Usage,
+        what,
+        "the command line",
+        "`osap --help` shows the commands, `osap COMMAND --help` their options",
+    )
 }
 
 /// What clap has to say: help and version are data, the rest is talk.

@@ -2,7 +2,7 @@
 
 use super::devices::{DeviceId, Scanned};
 use super::links::{LinkArgs, quoted};
-use super::output::printable;
+use super::output::{is_unseen, printable};
 use super::{CliError, Exit, Output};
 use clap::Args;
 use osap_protocol::discovery::NAME_BYTES_MAX;
@@ -32,7 +32,9 @@ struct Document {
 /// A name that a device can keep.
 fn parse_name(text: &str) -> Result<String, String> {
     match text.len() {
-        0 => Err("a name has at least one character".to_owned()),
+        _ if text.chars().all(|c| c.is_whitespace() || is_unseen(c)) => {
+            Err("a name has at least one character that can be seen".to_owned())
+        }
         len if len > NAME_BYTES_MAX => Err(format!("this has {len} bytes of UTF-8, a name at most {NAME_BYTES_MAX}")),
         _ if text.starts_with('/') => Err("a name that begins with a slash would be taken for a route".to_owned()),
         _ if text.chars().any(char::is_control) => Err("a name has no control characters".to_owned()),
@@ -77,7 +79,7 @@ mod tests {
     fn a_name_fits_and_cannot_be_taken_for_something_else() {
         assert_eq!(parse_name("Z (left) ü"), Ok("Z (left) ü".to_owned()));
         assert!(parse_name(&"ü".repeat(16)).is_ok());
-        for wrong in ["", "/0/3", "a\nb", &"ü".repeat(17)] {
+        for wrong in ["", "  ", "\u{a0}\u{200b}", "/0/3", "a\nb", &"ü".repeat(17)] {
             assert!(parse_name(wrong).is_err(), "{wrong}");
         }
     }

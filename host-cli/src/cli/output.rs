@@ -123,13 +123,24 @@ pub fn count(number: usize, one: &str, many: &str) -> String {
 #[must_use]
 pub fn printable(text: &str) -> String {
     text.chars().fold(String::with_capacity(text.len()), |mut safe, c| {
-        if c.is_control() {
+        if c.is_control() || is_unseen(c) {
             safe.extend(c.escape_default());
         } else {
             safe.push(c);
         }
         safe
     })
+}
+
+/// Whether a character has no picture of its own but changes what others look like, or the order they stand in (Unicode's format
+/// characters and its separators of lines and paragraphs).
+#[must_use]
+pub const fn is_unseen(c: char) -> bool {
+    matches!(
+        c,
+        '\u{ad}' | '\u{61c}' | '\u{180e}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}'
+            | '\u{feff}' | '\u{fff9}'..='\u{fffb}' | '\u{e0000}'..='\u{e007f}'
+    )
 }
 
 #[cfg(test)]
@@ -149,5 +160,6 @@ mod tests {
     #[test]
     fn a_devices_name_cannot_move_the_cursor() {
         assert_eq!(printable("bed \u{1b}[2J\nZ ü"), "bed \\u{1b}[2J\\nZ ü");
+        assert_eq!(printable("\u{202e}rotoM\u{200b}"), "\\u{202e}rotoM\\u{200b}");
     }
 }
