@@ -77,8 +77,9 @@ fn a_swap_is_told_as_one() {
 fn what_is_behind_a_swap_has_not_moved() {
     let before = scan(SimNetwork::line(4, LinkModel::WIRE, SEED)).map;
     let mut network = SimNetwork::line(4, LinkModel::WIRE, SEED);
-    let second = node(&mut network, 2);
-    network.world().swap(second, factory(UniqueId([0xee; 12]), "spare"));
+    // the last one is known by nobody but this one
+    let third = node(&mut network, 3);
+    network.world().swap(third, factory(UniqueId([0xee; 12]), "spare"));
     network.world().run_for(Span::from_us(2_000_000));
     let mut after = scan(network).map;
     let told = |changes: &[Change]| changes.iter().map(ToString::to_string).collect::<Vec<_>>();
