@@ -164,5 +164,8 @@ fn what_is_no_map_is_refused_with_what_to_do() {
     );
     assert_eq!(other, Err(MapError::Schema { found: "osap.map/2".to_owned() }));
     let error = NetworkMap::from_json("{}").unwrap_err().to_string();
-    assert!(error.starts_with("this is no map: ") && error.ends_with("Make one with `osap map --save FILE`"), "{error}");
+    assert!(
+        error.starts_with("this is no map: ") && error.ends_with("Make one with `osap map --save FILE`"),
+        "{error}"
+    );
 }
