@@ -90,7 +90,9 @@ fn the_fields_that_scripts_read_are_there() {
 /// Each code that can be had without hardware, as a document that says what, where and what next.
 #[test]
 fn errors_are_documents_with_their_codes() {
-    let cases: [(&[&str], Exit); 9] = [
+    let cases: [(&[&str], Exit); 10] = [
+        // Nobody is there, which a datagram link cannot know.
+        (&["scan", "--link", "udp:127.0.0.1:9"], Exit::NoAnswer),
         (&["scan", "--colour"], Exit::Usage),
         (&["map", "--dot", "--link", "sim:line:1"], Exit::Usage),
         (&["decode", "0g"], Exit::Usage),

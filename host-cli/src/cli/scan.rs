@@ -176,3 +176,26 @@ fn has_changed(scanned: &mut Scanned<'_>, links: &LinkArgs) -> Result<bool, CliE
 fn span(duration: Duration) -> Span {
     Span::from_us(u64::try_from(duration.as_micros()).unwrap_or(u64::MAX))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_missing_from_a_map_is_a_loss_and_what_was_read_is_none() {
+        let missing = vec!["ports".to_owned()];
+        let losses = [
+            Finding::Changed { device: 1 },
+            Finding::FellSilent { device: 1 },
+            Finding::Incomplete { device: 1, missing },
+            Finding::Limit { what: "too many".to_owned() },
+        ];
+        assert!(losses.iter().all(is_loss));
+        let notes = [
+            Finding::DuplicateName { name: "fan".to_owned(), devices: vec![1, 2] },
+            Finding::PacketSizes { devices: [0, 1], mtu_bytes: [256, 128] },
+            Finding::Restarted { device: 1, times: 1 },
+        ];
+        assert!(!notes.iter().any(is_loss));
+    }
+}
