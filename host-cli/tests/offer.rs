@@ -121,10 +121,13 @@ fn a_watch_tells_what_is_lost() {
 fn a_watch_in_virtual_time_hears_ctrl_c() {
     for signal in ["-INT", "-TERM"] {
         let line = ["scan", "--link", "sim:line:1", "--watch", "--for", "30000000"];
-        let mut child = osap().args(line).stdout(Stdio::piped()).spawn().unwrap();
-        let mut first = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut first).unwrap();
-        std::thread::sleep(Duration::from_millis(300));
+        let mut child = osap().args(line).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        // it says so once it listens for signals; before that one would end it the rude way
+        let mut talk = BufReader::new(child.stderr.take().unwrap());
+        let mut said = String::new();
+        while !said.contains("Watching") {
+            assert_ne!(talk.read_line(&mut said).unwrap(), 0, "it ended before it watched: {said}");
+        }
         assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
         let mut waits = 0;
         let status = loop {

@@ -116,29 +116,16 @@ fn a_repeated_scan_id_gets_the_same_answer() {
     assert_eq!(previous(ScanId { scan: 10, visit: 1 }), visit(5));
 }
 
-/// `[DSC-06]`: so are the counters', whose numbers grow longer with time.
-#[test]
-fn counter_pages_shrink_to_the_mtu() {
-    let mut a = node(4, &[]);
-    for cause in DropCause::ALL {
-        for _ in 0..17_000 {
-            a.count(*cause, None, us(0)); // three bytes each
-        }
-    }
+/// The page that a query for the oldest entries gets over a route of packets of `mtu_bytes`.
+fn page<T: serde::de::DeserializeOwned>(node: &mut TestNode, query: Query, mtu_bytes: u16) -> T {
     let route = RouteBuf::new();
-    let to = Outbound {
-        route: route.as_route(),
-        mtu_bytes: 50,
-        ttl_us: 100,
-        destination: PortIndex::NETRESPONDER,
-        transport: Transport::Sequenced,
-    };
-    a.send(port(1), to, &[&[1, 0, Query::Counters.key(), VERSION, 0]], us(9)).unwrap();
-    a.run(us(9));
-    let delivery = a.take(port(1), us(9)).unwrap();
-    let answer = read(&mut a, delivery, us(9));
-    let page: CounterPage = osap_protocol::discovery::decode(&answer).unwrap().body.read().unwrap();
-    assert_eq!((page.first, page.values.len()), (0, 11)); // 50 less 9, 2, 2 and 3 of page: 34 bytes, three each
+    let destination = PortIndex::NETRESPONDER;
+    let to = Outbound { route: route.as_route(), mtu_bytes, ttl_us: 100, destination, transport: Transport::Sequenced };
+    node.send(port(1), to, &[&[1, 0, query.key(), VERSION, 0]], us(9)).unwrap();
+    node.run(us(9));
+    let delivery = node.take(port(1), us(9)).unwrap();
+    let answer = read(node, delivery, us(9));
+    osap_protocol::discovery::decode(&answer).unwrap().body.read().unwrap()
 }
 
 /// `[DSC-06]`: a page that would not fit a small MTU is shortened, not refused.
@@ -149,20 +136,21 @@ fn debug_pages_shrink_to_the_mtu() {
         let text = "forty bytes of text, or nearly so many".try_into().unwrap();
         a.debug_mut().record(Verbosity::Events, us(n), || Event::Text(text));
     }
-    let route = RouteBuf::new();
-    let to = Outbound {
-        route: route.as_route(),
-        mtu_bytes: 128,
-        ttl_us: 100,
-        destination: PortIndex::NETRESPONDER,
-        transport: Transport::Sequenced,
-    };
-    a.send(port(1), to, &[&[1, 0, Query::DebugMessages.key(), VERSION, 0]], us(9)).unwrap();
-    a.run(us(9));
-    let delivery = a.take(port(1), us(9)).unwrap();
-    let answer = read(&mut a, delivery, us(9));
-    let page: DebugPage = osap_protocol::discovery::decode(&answer).unwrap().body.read().unwrap();
+    let page: DebugPage = page(&mut a, Query::DebugMessages, 128);
     assert_eq!((page.first, page.next, page.end, page.events.len()), (0, 2, 4, 2));
+}
+
+/// `[DSC-06]`: so are the counters', whose numbers grow longer with time.
+#[test]
+fn counter_pages_shrink_to_the_mtu() {
+    let mut a = node(4, &[]);
+    for cause in DropCause::ALL {
+        for _ in 0..17_000 {
+            a.count(*cause, None, us(0)); // three bytes each
+        }
+    }
+    let page: CounterPage = page(&mut a, Query::Counters, 50);
+    assert_eq!((page.first, page.values.len()), (0, 11)); // 50 less 9, 2, 2 and 3 of page: 34 bytes, three each
 }
 
 /// Announcements between two nodes until neither has more to say.
