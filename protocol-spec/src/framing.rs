@@ -249,6 +249,18 @@ impl<const N: usize> Deframer<N> {
         self.idle = true;
     }
 
+    /// Takes a run of bytes that came together, whose first was stamped `at`. Only its last byte may be a delimiter, so that it ends one
+    /// frame at the most.
+    pub fn push_run(&mut self, run: &[u8], at: LocalTicks) -> Option<Result<Frame<'_>, FrameError>> {
+        let (last, before) = run.split_last()?;
+        for byte in before {
+            debug_assert_ne!(*byte, DELIMITER, "a delimiter ends its run");
+            // no frame ends before the last byte; were there a delimiter, its frame would be lost, as a false one is
+            let _none = self.push(*byte, at);
+        }
+        self.push(*last, at)
+    }
+
     /// Takes one byte, stamped; at a delimiter, gives the frame it ended or what was wrong with it. Delimiters between frames give
     /// nothing, `[FRM-05]`.
     pub fn push(&mut self, byte: u8, at: LocalTicks) -> Option<Result<Frame<'_>, FrameError>> {

@@ -2,7 +2,8 @@
 //!
 //! - **Walk:** stack → [`Mailbox::take`] → handler → [`Mailbox::reply`] → the same slot, turned back, → stack.
 //! - **Invariants:** a [`Delivery`] is one held slot; it ends in exactly one reply, refusal or release. A reply needs no new memory.
-//! - **Context:** whoever holds the node; a handler may run elsewhere in between, holding only the `Delivery`.
+//! - **Context:** whoever holds the node; a handler may run elsewhere in between, holding only the `Delivery`. Where tasks share a node,
+//!   [`Mailbox`] is implemented over a lock that is held for one call at a time, so that no handler's own work keeps packets waiting.
 //! - **Clauses:** `[PKT-11]`, `[PKT-13]`, `[TRN-03]`, `[NOD-06]`, `[NOD-07]`, `[NOD-11]`.
 
 use crate::node::Node;
@@ -92,11 +93,14 @@ pub trait Mailbox {
     /// The earliest packet for `port`, as soon as it is clear to receive.
     fn take(&mut self, port: PortIndex, now: LocalTicks) -> Option<Delivery>;
 
-    /// The payload of a delivery.
-    fn payload(&self, delivery: &Delivery) -> &[u8];
+    /// Packets that wait for `port`.
+    fn waiting(&mut self, port: PortIndex) -> usize;
 
-    /// The steps that lead back to the sender, in the order they were taken.
-    fn taken_steps(&self, delivery: &Delivery) -> &[u8];
+    /// Gives the payload of a delivery to `read`, which should be short: where tasks share the node, it runs while others wait for it.
+    fn with_payload<R>(&mut self, delivery: &Delivery, read: impl FnOnce(&[u8]) -> R) -> R;
+
+    /// As [`Mailbox::with_payload`], the steps that lead back to the sender, in the order they were taken.
+    fn with_taken_steps<R>(&mut self, delivery: &Delivery, read: impl FnOnce(&[u8]) -> R) -> R;
 
     /// Sends `parts`, put together, back to the sender in the delivery's own slot: a datagram for a datagram, a reply for a request.
     ///
@@ -146,14 +150,16 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         Some(Delivery { slot, port, source, transport, sequenced, arrived, mtu_bytes, payload })
     }
 
-    fn payload(&self, delivery: &Delivery) -> &[u8] {
-        self.pool.bytes(&delivery.slot).get(delivery.payload..).unwrap_or_default()
+    fn waiting(&mut self, port: PortIndex) -> usize {
+        Self::waiting(self, port)
     }
 
-    fn taken_steps(&self, delivery: &Delivery) -> &[u8] {
-        let bytes = self.pool.bytes(&delivery.slot);
-        let pointer = bytes.first().copied().map_or(0, usize::from);
-        bytes.get(osap_protocol::header::ROUTE_OFFSET..pointer).unwrap_or_default()
+    fn with_payload<R>(&mut self, delivery: &Delivery, read: impl FnOnce(&[u8]) -> R) -> R {
+        read(self.payload(delivery))
+    }
+
+    fn with_taken_steps<R>(&mut self, delivery: &Delivery, read: impl FnOnce(&[u8]) -> R) -> R {
+        read(self.taken_steps(delivery))
     }
 
     fn reply(&mut self, delivery: Delivery, parts: &[&[u8]], now: LocalTicks) -> Result<(), SendError> {
@@ -189,6 +195,20 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
 impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS: usize>
     Node<SLOTS, BYTES, GATEWAYS, PORTS>
 {
+    /// The payload of a delivery.
+    #[must_use]
+    pub fn payload(&self, delivery: &Delivery) -> &[u8] {
+        self.pool.bytes(&delivery.slot).get(delivery.payload..).unwrap_or_default()
+    }
+
+    /// The steps that lead back to a delivery's sender, in the order they were taken.
+    #[must_use]
+    pub fn taken_steps(&self, delivery: &Delivery) -> &[u8] {
+        let bytes = self.pool.bytes(&delivery.slot);
+        let pointer = bytes.first().copied().map_or(0, usize::from);
+        bytes.get(osap_protocol::header::ROUTE_OFFSET..pointer).unwrap_or_default()
+    }
+
     /// Makes a packet in a slot of `port`'s, `[NOD-11]`.
     fn make(&mut self, port: PortIndex, to: &Outbound<'_>, parts: &[&[u8]], now: LocalTicks) -> Result<(), SendError> {
         if port.at() >= self.ports.len() {

@@ -149,15 +149,22 @@ impl HandOver<'_> {
         deframer: &mut Deframer<N>,
         mut take: impl FnMut(Result<Frame<'_>, FrameError>),
     ) {
+        self.bytes(|byte, started| {
+            if let Some(frame) = deframer.push(byte, started) {
+                take(frame);
+            }
+        });
+    }
+
+    /// Gives each byte that has come to `take`, with the stamp of its frame's first byte.
+    pub fn bytes(&mut self, mut take: impl FnMut(u8, LocalTicks)) {
         while let Some(byte) = self.bytes.dequeue() {
             if self.between_frames && byte != DELIMITER {
                 // a stamp is written before its byte, so there is one; were there none, the last is the best known
                 self.started = self.stamps.dequeue().unwrap_or(self.started);
             }
             self.between_frames = byte == DELIMITER;
-            if let Some(frame) = deframer.push(byte, self.started) {
-                take(frame);
-            }
+            take(byte, self.started);
         }
     }
 

@@ -249,8 +249,11 @@ impl<const BYTES: usize> Receiver<BYTES> {
 
     /// Takes a segmented packet and answers it in its own slot.
     pub fn accept(&mut self, node: &mut impl Mailbox, delivery: Delivery, now: LocalTicks) -> Received {
-        let (message, index, count, data) = match SegmentHeader::parse(node.payload(&delivery)) {
-            Ok((SegmentHeader::Data { message, index, count }, data)) => (message, index, count, data),
+        let parsed = node.with_payload(&delivery, |payload| {
+            SegmentHeader::parse(payload).map(|(header, data)| (header, payload.len() - data.len()))
+        });
+        let (message, index, count, head) = match parsed {
+            Ok((SegmentHeader::Data { message, index, count }, head)) => (message, index, count, head),
             Ok((other, _)) => {
                 node.release(delivery, None, now);
                 return Received::ForSender(other);
@@ -260,7 +263,7 @@ impl<const BYTES: usize> Receiver<BYTES> {
                 return Received::Dropped;
             }
         };
-        let back = Route::check(node.taken_steps(&delivery)).map(RouteBuf::from).unwrap_or_default();
+        let back = node.with_taken_steps(&delivery, |taken| Route::check(taken).map(RouteBuf::from).unwrap_or_default());
         let source = Source { back, port: delivery.source, message };
         let idle = now.since(self.heard) >= Span::from_us(SEGMENT_IDLE_US);
         let same = self.is_same(&source, index, count, idle);
@@ -273,9 +276,11 @@ impl<const BYTES: usize> Receiver<BYTES> {
             return Received::Dropped;
         }
         if !same {
-            self.begin(source, count, data.len());
+            self.begin(source, count);
         }
-        let verdict = self.append(index, count, data);
+        let verdict = node.with_payload(&delivery, |payload| {
+            self.append(index, count, payload.get(head..).unwrap_or_default())
+        });
         if let Ok(()) | Err(DropCause::SegmentOutOfOrder) = verdict {
             self.heard = now;
         }
@@ -320,12 +325,12 @@ impl<const BYTES: usize> Receiver<BYTES> {
         self.source.is_some() && self.next < self.count
     }
 
-    fn begin(&mut self, source: Source, count: u16, segment_bytes: usize) {
+    fn begin(&mut self, source: Source, count: u16) {
         self.buffer.clear();
         self.source = Some(source);
         self.count = count;
         self.next = 0;
-        self.segment_bytes = segment_bytes;
+        self.segment_bytes = 0;
     }
 
     /// Puts a segment in its place, `[TRN-08]`, `[TRN-09]`; `OverMtu` stands for a message over `BYTES`.

@@ -113,15 +113,18 @@ impl Exchange {
     }
 
     /// Whether a segmented packet comes by the way, from the port and under the number of the message under way.
-    fn is_from_peer(&self, node: &impl Mailbox, delivery: &Delivery) -> bool {
+    fn is_from_peer(&self, node: &mut impl Mailbox, delivery: &Delivery) -> bool {
         let Some(active) = &self.active else { return false };
-        let Ok((header, _)) = SegmentHeader::parse(node.payload(delivery)) else { return false };
+        let parsed = node.with_payload(delivery, |payload| SegmentHeader::parse(payload).map(|(header, _)| header));
+        let Ok(header) = parsed else { return false };
         let (SegmentHeader::Data { message, .. }
         | SegmentHeader::Acknowledge { message, .. }
         | SegmentHeader::Refuse { message, .. }) = header;
         let (route, port) = &active.peer;
-        let taken = Route::check(node.taken_steps(delivery)).unwrap_or(Route::LOCAL);
-        message == active.number && delivery.source == *port && way_back(taken).eq(route.as_route().steps())
+        let by_the_way = node.with_taken_steps(delivery, |taken| {
+            way_back(Route::check(taken).unwrap_or(Route::LOCAL)).eq(route.as_route().steps())
+        });
+        message == active.number && delivery.source == *port && by_the_way
     }
 
     fn end(&mut self, outcome: MessageOutcome) {

@@ -3,7 +3,8 @@
 //! - **Walk:** link → [`Device::receive`] → [`Device::route`] (queries, expiries) → [`Device::serve`] (ports) → [`Device::transmit`] → link.
 //! - **Invariants:** ports from 1 on are those of the kind's table, in its order. `route` runs no port's service, so that a service that
 //!   takes its time delays no packet of others.
-//! - **Context:** `route` in the routing task, `serve` in a task below it; both bounded by the packets that wait.
+//! - **Context:** `route` in the routing task, `serve` in a task below it; both bounded by the packets that wait. Where those are two
+//!   tasks, an image holds the two halves apart: see [`Device::into_parts`].
 //! - **Clauses:** `[APP-01]`, `[DSC-05]`.
 //!
 //! ```
@@ -19,14 +20,13 @@
 //! assert_eq!(motor.next_wake(), None); // no gateway is open and no packet waits
 //! ```
 
-use crate::echo::Echo;
-use crate::kind::{Kind, Service};
-use crate::stream::Stream;
+use crate::kind::Kind;
+use crate::services::Services;
 use fixed_math::time::LocalTicks;
 use osap_protocol::discovery::{BuildKind, UniqueId};
 use osap_protocol::header::Arrival;
 use osap_protocol::{DropCause, GatewayIndex, PortIndex};
-use osap_runtime::{Identity, Mailbox, Node, Outgoing};
+use osap_runtime::{Identity, Node, Outgoing};
 
 /// A device whose node has `SLOTS` packets of `BYTES` bytes, up to `GATEWAYS` gateways and `PORTS` ports, and which takes messages of
 /// up to `MESSAGE_BYTES` bytes.
@@ -39,11 +39,7 @@ pub struct Device<
     const MESSAGE_BYTES: usize,
 > {
     node: Node<SLOTS, BYTES, GATEWAYS, PORTS>,
-    kind: &'static Kind,
-    echo: Echo<MESSAGE_BYTES>,
-    stream: Stream,
-    /// Payload of the packet in work.
-    scratch: [u8; BYTES],
+    services: Services<BYTES, MESSAGE_BYTES>,
 }
 
 /// A kind's ports do not fit a node.
@@ -74,7 +70,12 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         for port in kind.ports {
             node.add_port(port.config()).ok_or(TooManyPorts { need: kind.ports.len() + 1, have: PORTS })?;
         }
-        Ok(Self { node, kind, echo: Echo::new(), stream: Stream::new(), scratch: [0; BYTES] })
+        Ok(Self { node, services: Services::new(kind) })
+    }
+
+    /// The node for the routing task and the services for the task below it.
+    pub fn into_parts(self) -> (Node<SLOTS, BYTES, GATEWAYS, PORTS>, Services<BYTES, MESSAGE_BYTES>) {
+        (self.node, self.services)
     }
 
     /// The node.
@@ -91,7 +92,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
     /// What kind of device it is.
     #[must_use]
     pub const fn kind(&self) -> &'static Kind {
-        self.kind
+        self.services.kind()
     }
 
     /// As [`Node::receive`].
@@ -115,19 +116,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
 
     /// What the ports have to do: at most as many packets as wait when it is called, then what is due.
     pub fn serve(&mut self, now: LocalTicks) {
-        for (port, service) in ports(self.kind) {
-            for _ in 0..self.node.waiting(port) {
-                let Some(delivery) = self.node.take(port, now) else { break };
-                match service {
-                    Service::Echo => self.echo.accept(&mut self.node, delivery, &mut self.scratch, now),
-                    Service::Stream => self.stream.accept(&mut self.node, delivery, BYTES, now),
-                }
-            }
-            match service {
-                Service::Echo => self.echo.poll(&mut self.node, now),
-                Service::Stream => self.stream.poll(&mut self.node, port, &mut self.scratch, now),
-            }
-        }
+        self.services.serve(&mut self.node, now);
     }
 
     /// [`Device::route`] and [`Device::serve`], where there is one task for both.
@@ -156,26 +145,19 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
     /// Packets that wait for [`Device::serve`], and one for each service that is due to send.
     #[must_use]
     pub fn services_waiting(&self, now: LocalTicks) -> usize {
-        let packets: usize = ports(self.kind).map(|(port, _)| self.node.waiting(port)).sum();
-        let due = [self.echo.next_wake(), self.stream.next_wake()];
-        packets + due.into_iter().flatten().filter(|at| *at <= now).count()
+        self.services.ports().map(|port| self.node.waiting(port)).sum::<usize>() + self.services.due(now)
     }
 
     /// When [`Device::route`] or [`Device::serve`] has something to do even if no packet comes.
     #[must_use]
     pub fn next_wake(&self) -> Option<LocalTicks> {
-        [self.node.next_wake(), self.echo.next_wake(), self.stream.next_wake()].into_iter().flatten().min()
+        [self.node.next_wake(), self.services.next_wake()].into_iter().flatten().min()
     }
 
     /// The new name, once after each renaming, to be written to non-volatile memory, `[DSC-05]`.
     pub fn take_new_name(&mut self) -> Option<&str> {
         self.node.take_new_name()
     }
-}
-
-/// A kind's ports and what they lead to.
-fn ports(kind: &'static Kind) -> impl Iterator<Item = (PortIndex, Service)> {
-    (1..).zip(kind.ports).filter_map(|(index, entry)| Some((PortIndex::new(index)?, entry.service)))
 }
 
 #[cfg(test)]
@@ -262,7 +244,7 @@ mod tests {
         assert_eq!(numbers(&mut motor, us(100)), [Some(0), None, None, None, None]);
 
         motor.serve(us(20_150)); // due were 1,100 to 20,100: numbers 1 to 20
-        assert_eq!(motor.stream.next_wake(), Some(us(21_100)));
+        assert_eq!(motor.services.next_wake(), Some(us(21_100)));
         assert_eq!(BURST_MAX, 4);
         assert_eq!(numbers(&mut motor, us(20_150)), [Some(1), Some(2), Some(3), Some(4), None]);
         motor.serve(us(21_100));
@@ -274,7 +256,7 @@ mod tests {
         let (answer, len) = next_out(&mut motor, us(21_200)).unwrap();
         let answer = StreamAnswer::decode(&answer[len - StreamAnswer::LEN..len]);
         assert_eq!(answer, Some(StreamAnswer { sent: 6, shed: 16 }));
-        assert_eq!(motor.stream.next_wake(), None);
+        assert_eq!(motor.services.next_wake(), None);
     }
 
     /// Numbers of the datagrams that leave now; replies are passed over.

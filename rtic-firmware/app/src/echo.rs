@@ -49,12 +49,15 @@ impl<const MESSAGE_BYTES: usize> Echo<MESSAGE_BYTES> {
                 node.release(delivery, Some(DropCause::ReplyUnmatched), now);
             }
             (Transport::Datagram | Transport::Sequenced, _) => {
-                let payload = node.payload(&delivery);
-                let Some(copy) = scratch.get_mut(..payload.len()) else {
+                let copied = node.with_payload(&delivery, |payload| {
+                    let copy = scratch.get_mut(..payload.len())?;
+                    copy.copy_from_slice(payload);
+                    Some(&*copy)
+                });
+                let Some(copy) = copied else {
                     node.release(delivery, Some(DropCause::PortRefused), now);
                     return;
                 };
-                copy.copy_from_slice(payload);
                 // an answer that does not get away is counted by the node
                 let _counted = node.reply(delivery, &[copy], now);
             }
@@ -77,7 +80,7 @@ impl<const MESSAGE_BYTES: usize> Echo<MESSAGE_BYTES> {
     }
 
     fn accept_segment(&mut self, node: &mut impl Mailbox, delivery: Delivery, packet_bytes_max: u16, now: LocalTicks) {
-        let header = SegmentHeader::parse(node.payload(&delivery)).map(|(header, _)| header);
+        let header = node.with_payload(&delivery, |payload| SegmentHeader::parse(payload).map(|(header, _)| header));
         let (port, back) = (delivery.port, route_back(node, &delivery));
         let asker = match header {
             Ok(
@@ -143,10 +146,10 @@ impl<const MESSAGE_BYTES: usize> Default for Echo<MESSAGE_BYTES> {
 }
 
 /// The route from here to a delivery's sender, to be kept after the delivery has gone.
-pub(crate) fn route_back(node: &impl Mailbox, delivery: &Delivery) -> RouteBuf {
-    let taken = Route::check(node.taken_steps(delivery)).unwrap_or(Route::LOCAL);
+pub(crate) fn route_back(node: &mut impl Mailbox, delivery: &Delivery) -> RouteBuf {
+    let taken = node.with_taken_steps(delivery, |taken| Route::check(taken).map(RouteBuf::from).unwrap_or_default());
     let mut back = RouteBuf::new();
-    for step in way_back(taken) {
+    for step in way_back(taken.as_route()) {
         // as long as the way here, which fitted
         let fits = back.push(step);
         debug_assert!(fits.is_ok());

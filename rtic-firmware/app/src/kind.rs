@@ -14,6 +14,8 @@ pub enum Service {
     Echo,
     /// Sends datagrams at an interval, `[APP-05]` to `[APP-09]`.
     Stream,
+    /// Keeps the serving task busy, `[APP-10]`.
+    Spin,
 }
 
 impl Service {
@@ -23,6 +25,7 @@ impl Service {
         match self {
             Self::Echo => "echo",
             Self::Stream => "stream",
+            Self::Spin => "spin",
         }
     }
 }
@@ -68,19 +71,21 @@ impl Kind {
 const ECHO: PortEntry = PortEntry { service: Service::Echo, packet_hold_max: 5 };
 /// As long as a stream's packets cannot leave, four wait; then new ones are shed.
 const STREAM: PortEntry = PortEntry { service: Service::Stream, packet_hold_max: 4 };
+/// One at a time is enough to keep a task busy.
+const SPIN: PortEntry = PortEntry { service: Service::Spin, packet_hold_max: 1 };
 /// A hub's slots are for the packets of others.
 const STREAM_OF_HUB: PortEntry = PortEntry { packet_hold_max: 2, ..STREAM };
 
 /// Forwards between many links.
-pub const HUB: Kind = Kind { type_name: "hub", version: [0, 1, 0], ports: &[ECHO, STREAM_OF_HUB] };
+pub const HUB: Kind = Kind { type_name: "hub", version: [0, 1, 0], ports: &[ECHO, STREAM_OF_HUB, SPIN] };
 /// Drives a motor.
-pub const MOTOR: Kind = Kind { type_name: "motor", version: [0, 1, 0], ports: &[ECHO, STREAM] };
+pub const MOTOR: Kind = Kind { type_name: "motor", version: [0, 1, 0], ports: &[ECHO, STREAM, SPIN] };
 /// Measures a force.
-pub const LOAD_CELL: Kind = Kind { type_name: "loadcell", version: [0, 1, 0], ports: &[ECHO, STREAM] };
+pub const LOAD_CELL: Kind = Kind { type_name: "loadcell", version: [0, 1, 0], ports: &[ECHO, STREAM, SPIN] };
 /// Heats and measures a temperature.
-pub const HEATER: Kind = Kind { type_name: "heater", version: [0, 1, 0], ports: &[ECHO, STREAM] };
+pub const HEATER: Kind = Kind { type_name: "heater", version: [0, 1, 0], ports: &[ECHO, STREAM, SPIN] };
 /// Takes pictures.
-pub const CAMERA: Kind = Kind { type_name: "camera", version: [0, 1, 0], ports: &[ECHO, STREAM] };
+pub const CAMERA: Kind = Kind { type_name: "camera", version: [0, 1, 0], ports: &[ECHO, STREAM, SPIN] };
 /// All of them.
 pub const KINDS: [Kind; 5] = [HUB, MOTOR, LOAD_CELL, HEATER, CAMERA];
 
@@ -90,11 +95,12 @@ mod tests {
 
     /// `[APP-01]`: the ports stand where the specification says, and no service stands twice.
     #[test]
-    fn every_kind_has_echo_on_port_1_and_stream_on_port_2() {
+    fn every_kind_has_echo_stream_and_spin_on_ports_1_to_3() {
         for kind in KINDS {
             assert_eq!(kind.port_of(Service::Echo), PortIndex::new(1), "{}", kind.type_name);
             assert_eq!(kind.port_of(Service::Stream), PortIndex::new(2), "{}", kind.type_name);
-            assert_eq!(kind.ports.len(), 2);
+            assert_eq!(kind.port_of(Service::Spin), PortIndex::new(3), "{}", kind.type_name);
+            assert_eq!(kind.ports.len(), 3);
         }
     }
 }

@@ -11,7 +11,15 @@
 pub mod device;
 pub mod echo;
 pub mod kind;
+pub mod link;
+pub mod lock;
+pub mod report;
+pub mod services;
+pub mod settings;
+pub mod spin;
 pub mod stream;
 
 pub use device::Device;
 pub use kind::Kind;
+pub use link::{Link, Wire};
+pub use services::Services;

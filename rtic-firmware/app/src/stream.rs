@@ -266,7 +266,7 @@ impl Stream {
         // a sender may name a larger packet size than this node's own packets have
         let packet_bytes = usize::from(mtu_bytes).min(packet_bytes_max);
         let room = packet_bytes.saturating_sub(PORT_HEADER_BYTES + asker.back.as_route().bytes().len());
-        let refusal = match StreamRequest::decode(node.payload(&delivery)) {
+        let refusal = match node.with_payload(&delivery, StreamRequest::decode) {
             None => StreamRefusal::Malformed,
             Some(request) if !request.in_range(room) => StreamRefusal::Range,
             Some(request) => {

@@ -1,0 +1,125 @@
+//! A link of an image: a board's wire on one side, the node on the other, framing in between.
+//!
+//! - **Walk:** receive interrupt or DMA → [`Wire::drain`] → deframer → [`Link::receive`] → ingress; egress → [`Link::transmit`] → frame →
+//!   [`Wire::send`].
+//! - **Invariants:** what fails its check is counted under its gateway; a packet is taken off the stack only once its wire has room for
+//!   its frame, so that the earliest deadline is chosen as late as the wire allows.
+//! - **Context:** the routing task; O(bytes) a call. **Clauses:** `[LNK-01]`, `[FRM-08]`, `[NOD-08]`.
+
+use fixed_math::time::LocalTicks;
+use osap_protocol::framing::{Deframer, Frame, FrameError, encode};
+use osap_protocol::header::Arrival;
+use osap_protocol::{DropCause, GatewayIndex};
+use osap_runtime::ring::HandOver;
+use osap_runtime::{GatewayConfig, Node};
+
+/// What an image needs of one link's hardware. Boards implement it.
+pub trait Wire {
+    /// Whether bytes can be carried at all: a UART always, USB once it is configured.
+    fn is_up(&self) -> bool {
+        true
+    }
+
+    /// Gives what has come since the last call to `take`, oldest first, in runs of at least one byte. A delimiter ends its run, and the
+    /// stamp is that of the run's first byte.
+    fn drain(&mut self, take: impl FnMut(&[u8], LocalTicks));
+
+    /// Frames lost for want of room since last asked.
+    fn take_overruns(&mut self) -> u32;
+
+    /// When all that it was given will have left, which is `now` where it is idle; `None` while it has no room for a frame.
+    fn clear_at(&mut self, now: LocalTicks) -> Option<LocalTicks>;
+
+    /// Room for the next frame, to be filled before [`Wire::send`]; never shorter than the longest frame while [`Wire::clear_at`] is some.
+    fn room(&mut self) -> &mut [u8];
+
+    /// Sends the first `len` bytes of the room, the first of them at `at` or, where that is past, at once.
+    fn send(&mut self, len: usize, at: LocalTicks);
+}
+
+/// A wire, its gateway and its framing. `FRAME` is the longest packet and its check, bytes; `BYTES` the longest packet.
+pub struct Link<W, const BYTES: usize, const FRAME: usize> {
+    wire: W,
+    gateway: GatewayIndex,
+    config: GatewayConfig,
+    deframer: Deframer<FRAME>,
+    packet: [u8; BYTES],
+}
+
+impl<W: Wire, const BYTES: usize, const FRAME: usize> Link<W, BYTES, FRAME> {
+    /// The link of `node`'s next gateway; `None` where it has no place for another.
+    pub fn new<const SLOTS: usize, const GATEWAYS: usize, const PORTS: usize>(
+        wire: W,
+        config: GatewayConfig,
+        node: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>,
+    ) -> Option<Self> {
+        let gateway = node.add_gateway(config)?;
+        Some(Self { wire, gateway, config, deframer: Deframer::new(config.check), packet: [0; BYTES] })
+    }
+
+    /// The wire, for what its interrupts need of it.
+    pub const fn wire(&mut self) -> &mut W {
+        &mut self.wire
+    }
+
+    /// Takes in what has come, and says whether the wire is up.
+    pub fn receive<const SLOTS: usize, const GATEWAYS: usize, const PORTS: usize>(
+        &mut self,
+        node: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>,
+        now: LocalTicks,
+    ) {
+        let Self { wire, gateway, deframer, .. } = self;
+        let up = wire.is_up();
+        if !up {
+            deframer.reset();
+        }
+        node.set_open(*gateway, up, now);
+        wire.drain(|run, at| {
+            if let Some(frame) = deframer.push_run(run, at) {
+                accept(node, *gateway, frame, now);
+            }
+        });
+        for _ in 0..wire.take_overruns() {
+            node.count(DropCause::RxOverrun, Some(*gateway), now);
+        }
+    }
+
+    /// Sends what the node has for this link, as long as the wire has room.
+    pub fn transmit<const SLOTS: usize, const GATEWAYS: usize, const PORTS: usize>(
+        &mut self,
+        node: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>,
+        now: LocalTicks,
+    ) {
+        while node.has_output(self.gateway, now)
+            && let Some(at) = self.wire.clear_at(now)
+        {
+            // what waits for the bytes before it has that much less time to live
+            let Some(outgoing) = node.transmit(self.gateway, at, &mut self.packet) else { break };
+            let framed = encode(&self.packet[..outgoing.len], self.config.check, self.wire.room());
+            match framed {
+                Ok(len) => self.wire.send(len, at),
+                Err(error) => node.count(error.into(), Some(self.gateway), now),
+            }
+        }
+    }
+}
+
+/// One frame to the node, or its failure to the counters.
+fn accept<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS: usize>(
+    node: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>,
+    gateway: GatewayIndex,
+    frame: Result<Frame<'_>, FrameError>,
+    now: LocalTicks,
+) {
+    match frame {
+        Ok(Frame { packet, started }) => {
+            let _counted = node.receive(Arrival::Link(gateway), packet, started, now);
+        }
+        Err(error) => node.count(error.into(), Some(gateway), now),
+    }
+}
+
+/// Gives what an interrupt captured in a ring to `take`, as [`Wire::drain`] wants it.
+pub fn drain_ring(ring: &mut HandOver<'_>, mut take: impl FnMut(&[u8], LocalTicks)) {
+    ring.bytes(|byte, started| take(&[byte], started));
+}
