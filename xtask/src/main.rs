@@ -1,16 +1,19 @@
 //! `cargo xtask`: the only build driver. What a person, a hook or CI runs goes through here.
 //!
 //! This file is the command line and nothing else: [`stages`] has the commands, [`setup`] what a machine needs,
-//! [`report`] what `test` closes with, [`tally`] how tests are counted, [`run`] how programs are started, and
-//! [`picture`] how the demonstration is drawn.
+//! [`toolchain`] which compiler builds for a chip, [`images`] what is built, [`report`] what `test` closes with, [`tally`]
+//! how tests are counted, [`run`] how programs are started, and [`picture`] how the demonstration is drawn.
 #![forbid(unsafe_code)]
 
+mod images;
 mod picture;
 mod report;
 mod run;
 mod setup;
 mod stages;
+mod system;
 mod tally;
+mod toolchain;
 
 use std::process::ExitCode;
 
@@ -39,6 +42,13 @@ enum Command {
     Lint,
     /// Build the cores for bare-metal targets
     Nostd,
+    /// Build an image for its chip and say where it is
+    Build {
+        /// Folder of the image below rtic-firmware/, or `all`
+        image: String,
+        #[command(flatten)]
+        features: FeatureArguments,
+    },
     /// Check the rules of the repository: dependencies, clauses, sizes, words
     Tidy,
     /// Feed random and mutated packets to the parsers and the node
@@ -69,6 +79,23 @@ enum Command {
     Docs,
 }
 
+/// Which features of an image to build.
+#[derive(clap::Args)]
+struct FeatureArguments {
+    /// Features to add, separated by commas
+    #[arg(long, value_delimiter = ',')]
+    features: Vec<String>,
+    /// Leave the default features out
+    #[arg(long)]
+    no_default_features: bool,
+}
+
+impl From<FeatureArguments> for images::Features {
+    fn from(arguments: FeatureArguments) -> Self {
+        Self { no_default: arguments.no_default_features, added: arguments.features }
+    }
+}
+
 /// What the fuzzer can feed.
 #[derive(Clone, Copy, ValueEnum)]
 enum FuzzTarget {
@@ -85,6 +112,7 @@ fn main() -> ExitCode {
         Command::Fmt { check } => stages::fmt(check),
         Command::Lint => stages::lint(),
         Command::Nostd => stages::nostd(),
+        Command::Build { image, features } => images::build(&image, &features.into()),
         Command::Tidy => stages::tidy(),
         Command::Fuzz { inputs, seed, target } => {
             let target = target.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
@@ -96,6 +124,10 @@ fn main() -> ExitCode {
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
+        Err(error @ run::Error::NotRunHere { .. }) => {
+            println!("{error}");
+            ExitCode::FAILURE
+        }
         Err(error) => {
             eprintln!("error: {error}");
             ExitCode::FAILURE

@@ -51,6 +51,17 @@ pub(crate) enum Error {
     /// The output of the demonstration cannot be drawn.
     #[error("cannot draw the output of `osap demo`: {0}")]
     Picture(#[from] crate::picture::PictureError),
+    /// An image cannot be used.
+    #[error(transparent)]
+    Image(#[from] crate::images::ImageError),
+    /// This could not be done here. Not a failure of what was to be checked, and never to be taken for a success.
+    #[error("NOT RUN: {what}: {why}")]
+    NotRunHere {
+        /// What did not run.
+        what: String,
+        /// Why, and what to do.
+        why: String,
+    },
     /// Something is missing on this machine and could not be installed.
     #[error("{count} thing(s) could not be set up, as said above; install what is named there and run this again")]
     NotRun {
@@ -68,6 +79,7 @@ pub(crate) fn root() -> PathBuf {
 /// A program to be started in the root of the repository.
 pub(crate) struct Program {
     command: Command,
+    is_quiet: bool,
 }
 
 impl Program {
@@ -78,7 +90,7 @@ impl Program {
         if is_ci() {
             command.env("CARGO_TERM_COLOR", "never").env("NO_COLOR", "1");
         }
-        Self { command }
+        Self { command, is_quiet: false }
     }
 
     /// Cargo, the one that runs this driver, with `arguments` that are split at spaces.
@@ -96,6 +108,24 @@ impl Program {
     /// Sets a variable of the environment.
     pub(crate) fn env(mut self, name: &str, value: &str) -> Self {
         self.command.env(name, value);
+        self
+    }
+
+    /// Takes a variable out of the environment.
+    pub(crate) fn env_remove(mut self, name: &str) -> Self {
+        self.command.env_remove(name);
+        self
+    }
+
+    /// Runs it in `folder` instead of the root of the repository.
+    pub(crate) fn within(mut self, folder: &Path) -> Self {
+        self.command.current_dir(folder);
+        self
+    }
+
+    /// Does not say that it runs: a question of our own, not a step.
+    pub(crate) fn quiet(mut self) -> Self {
+        self.is_quiet = true;
         self
     }
 
@@ -142,7 +172,9 @@ impl Program {
         let name = Path::new(self.command.get_program()).file_name().unwrap_or_default();
         let words = std::iter::once(name).chain(self.command.get_args());
         let shown = words.map(|word| quoted(&word.to_string_lossy())).collect::<Vec<_>>().join(" ");
-        eprintln!("$ {shown}");
+        if !self.is_quiet {
+            eprintln!("$ {shown}");
+        }
         shown
     }
 }

@@ -3,6 +3,7 @@
 //! Whatever cannot be had is reported as `NOT RUN` with the reason and the way out, by the stage that misses it.
 
 use crate::run::{Error, Program};
+use crate::{system, toolchain};
 
 /// Targets that the cores are built for: Cortex-M0+ and Cortex-M4F/M7.
 pub(crate) const TARGETS: [&str; 2] = ["thumbv6m-none-eabi", "thumbv7em-none-eabihf"];
@@ -11,8 +12,33 @@ pub(crate) const TARGETS: [&str; 2] = ["thumbv6m-none-eabi", "thumbv7em-none-eab
 /// stage that needs it.
 const COMPONENTS: [(&str, &str, &str); 2] = [("rustfmt", "fmt", "format"), ("clippy", "clippy", "lint")];
 
-/// Debian packages that tests need: the package, the program it brings, and the test that needs it.
-pub(crate) const PACKAGES: [(&str, &str, &str); 1] = [("tshark", "tshark", "Wireshark dissector test")];
+/// The test of the Wireshark dissector, which says itself that it did not run.
+pub(crate) const DISSECTOR: &str = "Wireshark dissector test";
+
+/// The stage of the emulated network.
+pub(crate) const HIL: &str = "hil";
+
+/// The stage of the emulated RP2040's own tests.
+pub(crate) const RP2040_TESTS: &str = "test of the emulated RP2040";
+
+/// A program that checks need, and where it comes from.
+#[derive(Clone, Copy, Debug)]
+struct Needed {
+    /// The program.
+    program: &'static str,
+    /// The Debian packages that bring it.
+    packages: &'static [&'static str],
+    /// The stages or tests that cannot run without it.
+    by: &'static [&'static str],
+}
+
+/// Programs that are looked for, and installed where they are missing.
+const NEEDED: [Needed; 4] = [
+    Needed { program: "tshark", packages: &["tshark"], by: &[DISSECTOR] },
+    Needed { program: "qemu-system-arm", packages: &["qemu-system-arm"], by: &[HIL] },
+    Needed { program: "node", packages: &["nodejs"], by: &[HIL, RP2040_TESTS] },
+    Needed { program: "npm", packages: &["npm"], by: &[HIL, RP2040_TESTS] },
+];
 
 /// Something that could not be installed.
 #[derive(Clone, Debug)]
@@ -65,53 +91,39 @@ pub(crate) fn run() -> Setup {
             setup.add(stage.to_owned(), why);
         }
     }
-    for (package, program, test) in PACKAGES {
-        if Program::new(program).args(["--version"]).ask().is_some() {
-            continue;
-        }
-        if let Err(why) = install(package) {
-            setup.add(test.to_owned(), why);
-        }
-    }
+    provide(&mut setup, |_| true);
     setup
 }
 
 /// Installs the bare-metal targets only; does nothing where they are there.
 pub(crate) fn targets() -> Setup {
     let mut setup = Setup::default();
-    for target in TARGETS.into_iter().filter(|target| !has_target(target)) {
-        if let Err(error) = Program::new("rustup").args(["target", "add", target]).run() {
-            let why = format!("{error}; install the target `{target}` of your Rust compiler");
+    for target in TARGETS {
+        if let Err(why) = toolchain::provide(target) {
             setup.add(build_stage(target), why);
         }
     }
     setup
 }
 
-/// Whether the compiler has a core library for `target`. Asked of the compiler itself, which need not come from rustup.
-fn has_target(target: &str) -> bool {
-    let folder = Program::new("rustc").args(["--print", "target-libdir", "--target", target]).ask();
-    let mut files = folder.and_then(|folder| std::fs::read_dir(folder).ok()).into_iter().flatten().flatten();
-    files.any(|file| file.file_name().to_string_lossy().starts_with("libcore-"))
+/// Installs only the programs that `stage` needs.
+pub(crate) fn programs_of(stage: &str) -> Setup {
+    let mut setup = Setup::default();
+    provide(&mut setup, |needed| needed.by.contains(&stage));
+    setup
 }
 
-/// Installs a Debian package, where this is Debian and we are root.
-fn install(package: &str) -> Result<(), String> {
-    let by_hand = format!("install `{package}` with your system's package manager and run this again");
-    if Program::new("apt-get").args(["--version"]).ask().is_none() {
-        return Err(format!("`{package}` is missing and there is no apt-get to install it; {by_hand}"));
+fn provide(setup: &mut Setup, is_wanted: impl Fn(&Needed) -> bool) {
+    for needed in NEEDED.iter().filter(|needed| is_wanted(needed)) {
+        if Program::new(needed.program).args(["--version"]).ask().is_some() {
+            continue;
+        }
+        if let Err(why) = system::install(needed.packages) {
+            for stage in needed.by {
+                setup.add((*stage).to_owned(), why.clone());
+            }
+        }
     }
-    if Program::new("id").args(["-u"]).ask().as_deref() != Some("0") {
-        return Err(format!(
-            "`{package}` is missing and only root may install it; run `sudo apt-get install {package}`"
-        ));
-    }
-    let apt = |arguments: &[&str]| {
-        let program = Program::new("apt-get").args(arguments).env("DEBIAN_FRONTEND", "noninteractive");
-        program.run().map_err(|error| format!("{error}; {by_hand}"))
-    };
-    apt(&["update", "--quiet"])?;
-    apt(&["install", "--yes", "--quiet", "--no-install-recommends", package])
 }
 
 #[cfg(test)]
@@ -126,17 +138,5 @@ mod tests {
         assert_eq!(setup.why_not(&build_stage(TARGETS[0])), Some("no network"));
         assert_eq!(setup.why_not(&build_stage(TARGETS[1])), None);
         assert!(setup.complete().unwrap_err().to_string().starts_with("1 thing(s) could not be set up"));
-    }
-
-    #[test]
-    fn a_target_that_no_compiler_has_is_not_taken_to_be_there() {
-        assert!(!has_target("no-such-target"));
-    }
-
-    #[test]
-    fn the_compilers_own_target_is_found() {
-        let version = Program::new("rustc").args(["-vV"]).ask().expect("rustc runs");
-        let host = version.lines().find_map(|line| line.strip_prefix("host: ")).expect("rustc names its host");
-        assert!(has_target(host), "{host}");
     }
 }

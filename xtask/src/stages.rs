@@ -3,11 +3,13 @@
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
+use crate::images::{Features, Image, Images};
 use crate::picture;
 use crate::report::{Outcome, Report};
 use crate::run::{Error, Program, root, write};
 use crate::setup::{self, Setup, TARGETS};
 use crate::tally::{Counts, Tally};
+use crate::toolchain;
 
 /// Crates that run on a device, built for each bare-metal target.
 const CORES: &str = "-p fixed-math -p osap-protocol -p osap-runtime -p firmware-app";
@@ -25,17 +27,16 @@ pub(crate) fn test() -> ExitCode {
     let mut report = Report::default();
     report.add("setup", Outcome::Ok, started.elapsed(), Counts::default());
     stage(&mut report, &setup, "format", || fmt(true));
-    stage(&mut report, &setup, "lint", lint);
+    stage(&mut report, &setup, "lint", lint_host);
     test_workspace(&mut report);
-    for (_, _, test) in setup::PACKAGES {
-        if let Some(why) = setup.why_not(test) {
-            report.add(test, Outcome::NotRun(why.to_owned()), Duration::ZERO, Counts::default());
-        }
+    if let Some(why) = setup.why_not(setup::DISSECTOR) {
+        report.add(setup::DISSECTOR, Outcome::NotRun(why.to_owned()), Duration::ZERO, Counts::default());
     }
     stage(&mut report, &setup, "documentation", documentation);
     for target in TARGETS {
         stage(&mut report, &setup, &setup::build_stage(target), || build_cores(target));
     }
+    image_stages(&mut report, &setup);
     stage(&mut report, &setup, "fuzz, short", || Program::cargo(FUZZ).run());
     stage(&mut report, &setup, "picture in the README", || picture::demo(true));
     println!("\n{}", report.render());
@@ -47,9 +48,15 @@ pub(crate) fn fmt(check: bool) -> Result<(), Error> {
     Program::cargo("fmt --all").args(check.then_some("--check")).run()
 }
 
-/// Clippy on everything, warnings denied.
+/// Clippy on everything, each image for its own chip, warnings denied.
 pub(crate) fn lint() -> Result<(), Error> {
-    Program::cargo("clippy --workspace --all-targets -- -D warnings").run()
+    lint_host()?;
+    Images::read()?.all().iter().try_for_each(Image::lint)
+}
+
+/// Clippy on everything that builds on a host, warnings denied.
+fn lint_host() -> Result<(), Error> {
+    Program::cargo("clippy --all-targets -- -D warnings").run()
 }
 
 /// Builds the cores for every bare-metal target.
@@ -90,21 +97,38 @@ pub(crate) fn docs() -> Result<(), Error> {
     Ok(())
 }
 
-/// Unit, integration and doc tests of every crate; `tidy` is one of them.
+/// Unit, integration and doc tests of every crate that builds on a host; `tidy` is one of them.
 fn test_workspace(report: &mut Report) {
     let started = Instant::now();
     let mut tally = Tally::default();
-    let result = Program::cargo("test --workspace --no-fail-fast").run_watched(|piece| tally.feed(piece));
+    let result = Program::cargo("test --no-fail-fast").run_watched(|piece| tally.feed(piece));
     report.add("test, with tidy and doc tests", outcome(result), started.elapsed(), tally.finish());
 }
 
+/// Builds and lints each image that the workspace lists.
+fn image_stages(report: &mut Report, setup: &Setup) {
+    let images = match Images::read() {
+        Ok(images) => images,
+        Err(error) => {
+            return report.add("images", Outcome::Failed(error.to_string()), Duration::ZERO, Counts::default());
+        }
+    };
+    for image in images.all() {
+        let name = &image.name;
+        stage(report, setup, &format!("image {name}"), || images.build(image, &Features::default()).map(drop));
+        stage(report, setup, &format!("lint of image {name}"), || image.lint());
+    }
+}
+
 fn documentation() -> Result<(), Error> {
-    Program::cargo("doc --workspace --no-deps").env("RUSTDOCFLAGS", "-D warnings").run()
+    Program::cargo("doc --no-deps").env("RUSTDOCFLAGS", "-D warnings").run()
 }
 
 /// One Cargo call for each target, so that features wanted by one never reach the other.
 fn build_cores(target: &str) -> Result<(), Error> {
-    Program::cargo("build").args(CORES.split_whitespace()).args(["--target", target]).run()
+    let what = setup::build_stage(target);
+    let toolchain = toolchain::provide(target).map_err(|why| Error::NotRunHere { what, why })?;
+    toolchain.cargo("build").args(CORES.split_whitespace()).args(["--target", target]).run()
 }
 
 /// Runs a stage, unless what it needs is missing.
@@ -120,6 +144,7 @@ fn stage(report: &mut Report, setup: &Setup, name: &str, run: impl FnOnce() -> R
 fn outcome(result: Result<(), Error>) -> Outcome {
     match result {
         Ok(()) => Outcome::Ok,
+        Err(Error::NotRunHere { why, .. }) => Outcome::NotRun(why),
         Err(error) => Outcome::Failed(error.to_string()),
     }
 }
