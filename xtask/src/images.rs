@@ -52,6 +52,15 @@ pub(crate) enum ImageError {
         /// What is wrong.
         source: serde_json::Error,
     },
+    /// The image cannot be compared with the bare one.
+    #[error(
+        "{FOLDER}{name}/Cargo.toml: `default` in `[features]` has no `node`; `size` builds the image without it, with it \
+         alone, and with each further default feature"
+    )]
+    NoNode {
+        /// The image.
+        name: String,
+    },
     /// The package is not called after its folder.
     #[error("{FOLDER}{name}/Cargo.toml: the package is called `{package}`; call it `image-{name}`")]
     Name {

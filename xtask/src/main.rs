@@ -1,15 +1,17 @@
 //! `cargo xtask`: the only build driver. What a person, a hook or CI runs goes through here.
 //!
 //! This file is the command line and nothing else: [`stages`] has the commands, [`setup`] what a machine needs,
-//! [`toolchain`] which compiler builds for a chip, [`images`] what is built, [`report`] what `test` closes with, [`tally`]
+//! [`toolchain`] which compiler builds for a chip, [`images`] what is built, [`size`] what it takes, [`report`] what `test` closes with, [`tally`]
 //! how tests are counted, [`run`] how programs are started, and [`picture`] how the demonstration is drawn.
 #![forbid(unsafe_code)]
 
+mod elf;
 mod images;
 mod picture;
 mod report;
 mod run;
 mod setup;
+mod size;
 mod stages;
 mod system;
 mod tally;
@@ -48,6 +50,15 @@ enum Command {
         image: String,
         #[command(flatten)]
         features: FeatureArguments,
+    },
+    /// Build an image bare, as a node and with each feature, and say what each takes of flash and RAM
+    Size {
+        /// Folder of the image below rtic-firmware/, or `all`
+        #[arg(default_value = "all")]
+        image: String,
+        /// Print one JSON document
+        #[arg(long)]
+        json: bool,
     },
     /// Check the rules of the repository: dependencies, clauses, sizes, words
     Tidy,
@@ -113,6 +124,7 @@ fn main() -> ExitCode {
         Command::Lint => stages::lint(),
         Command::Nostd => stages::nostd(),
         Command::Build { image, features } => images::build(&image, &features.into()),
+        Command::Size { image, json } => size::size(&image, json),
         Command::Tidy => stages::tidy(),
         Command::Fuzz { inputs, seed, target } => {
             let target = target.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());

@@ -54,6 +54,14 @@ pub(crate) enum Error {
     /// An image cannot be used.
     #[error(transparent)]
     Image(#[from] crate::images::ImageError),
+    /// The ELF of an image tells nothing that can be used.
+    #[error("{}: {source}", path.display())]
+    Elf {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: crate::elf::ElfError,
+    },
     /// This could not be done here. Not a failure of what was to be checked, and never to be taken for a success.
     #[error("NOT RUN: {what}: {why}")]
     NotRunHere {

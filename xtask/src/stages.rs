@@ -9,7 +9,7 @@ use crate::report::{Outcome, Report};
 use crate::run::{Error, Program, root, write};
 use crate::setup::{self, Setup, TARGETS};
 use crate::tally::{Counts, Tally};
-use crate::toolchain;
+use crate::{size, toolchain};
 
 /// Crates that run on a device, built for each bare-metal target.
 const CORES: &str = "-p fixed-math -p osap-protocol -p osap-runtime -p firmware-app";
@@ -117,6 +117,7 @@ fn image_stages(report: &mut Report, setup: &Setup) {
         let name = &image.name;
         stage(report, setup, &format!("image {name}"), || images.build(image, &Features::default()).map(drop));
         stage(report, setup, &format!("lint of image {name}"), || image.lint());
+        stage(report, setup, &format!("size of image {name}"), || size::size(name, false));
     }
 }
 
