@@ -1,0 +1,278 @@
+//! UARTs by DMA: each byte that comes is put into a ring and stamped by hardware, each frame that goes is sent without the processor.
+//!
+//! Two channels a receiver hand over to each other: one moves a byte from the UART to the byte ring, then the other copies the timer's low
+//! word to the stamp ring, then the first waits for the next byte. So a stamp is late by a few clock cycles, however long interrupts are
+//! masked or the processor is busy.
+//!
+//! - **Walk:** UART → rings → [`RxWatch::take`] (interrupt) wakes routing → [`Wire::drain`]; [`Wire::send`] → DMA → UART.
+//! - **Invariants:** the rings hold [`RING_BYTES`] bytes, 1.7 ms at 3 Mbaud. A ring that was lapped is noticed by the count of bytes, which
+//!   the interrupt keeps: it comes at least once a lap unless interrupts are masked for as long.
+//! - **Context:** [`RxWatch`] in `DMA_IRQ_0`, O(bytes since); the rest in the routing task; `DMA_IRQ_1` says that a frame has gone to the
+//!   UART, whose FIFO still holds up to 32 bytes of it. **Clauses:** `[FRM-08]`, `[NOD-08]`.
+
+use crate::{UART_BAUD, clock};
+use core::cell::UnsafeCell;
+use core::sync::atomic::{AtomicU32, Ordering};
+use firmware_app::Wire;
+use fixed_math::time::{LocalTicks, Span};
+use osap_protocol::framing::{Check, DELIMITER, encoded_len_max};
+use rp2040_hal::pac;
+
+/// Bytes and stamps that a receiver's rings hold.
+pub const RING_BYTES: usize = 1 << RING_BITS;
+const RING_BITS: u32 = 9;
+const RING_MASK: usize = RING_BYTES - 1;
+/// The longest frame: a packet of 256 bytes.
+const FRAME_BYTES: usize = encoded_len_max(256, Check::Crc32);
+/// Routing is woken after so many bytes although no frame has ended, so that most of it is unstuffed when it does.
+const WAKE_MASK: u32 = 0xf;
+/// 1/256 µs a byte of ten bits takes, times 2^8.
+const BYTE_STEPS_Q8: u32 = ((10 * 256 * 256 * 1_000_000_u64) / UART_BAUD as u64) as u32;
+
+/// Permanent request: a transfer that waits for nothing.
+const TREQ_NONE: u32 = 0x3f;
+
+/// Fields of a channel's control word.
+mod ctrl {
+    pub(super) const ENABLE: u32 = 1;
+    pub(super) const WORDS: u32 = 2 << 2;
+    pub(super) const INCREMENT_READ: u32 = 1 << 4;
+    pub(super) const INCREMENT_WRITE: u32 = 1 << 5;
+    pub(super) const RING_ON_WRITE: u32 = 1 << 10;
+    pub(super) const QUIET: u32 = 1 << 21;
+    pub(super) const BUSY: u32 = 1 << 24;
+
+    pub(super) const fn ring(bits: u32) -> u32 {
+        bits << 6
+    }
+
+    pub(super) const fn chain_to(channel: usize) -> u32 {
+        (channel as u32) << 11
+    }
+
+    pub(super) const fn request(number: u32) -> u32 {
+        number << 15
+    }
+}
+
+/// A byte ring and a stamp ring, each aligned to its size as the DMA's wrapping demands.
+#[repr(align(2048))]
+struct Stamps(UnsafeCell<[u32; RING_BYTES]>);
+#[repr(align(512))]
+struct Bytes(UnsafeCell<[u8; RING_BYTES]>);
+struct FrameRoom(UnsafeCell<[u8; FRAME_BYTES]>);
+
+// SAFETY: the DMA writes the rings and the processor reads, by volatile access or behind the DMA's position; a frame's room belongs to the
+// one `DmaUart` of its number
+unsafe impl Sync for Stamps {}
+// SAFETY: as above
+unsafe impl Sync for Bytes {}
+// SAFETY: as above
+unsafe impl Sync for FrameRoom {}
+
+static RX_STAMP_BUFFER: [Stamps; 2] = [const { Stamps(UnsafeCell::new([0; RING_BYTES])) }; 2];
+static RX_BYTE_BUFFER: [Bytes; 2] = [const { Bytes(UnsafeCell::new([0; RING_BYTES])) }; 2];
+static TX_FRAME_BUFFER: [FrameRoom; 2] = [const { FrameRoom(UnsafeCell::new([0; FRAME_BYTES])) }; 2];
+/// Bytes that have come, counted by the interrupt.
+static RX_TOTAL: [AtomicU32; 2] = [const { AtomicU32::new(0) }; 2];
+
+/// DMA channels of one UART.
+#[derive(Clone, Copy)]
+struct Channels {
+    bytes: usize,
+    stamps: usize,
+    transmit: usize,
+}
+
+const CHANNELS: [Channels; 2] =
+    [Channels { bytes: 0, stamps: 1, transmit: 4 }, Channels { bytes: 2, stamps: 3, transmit: 5 }];
+/// Request numbers of the UARTs' transmitters and receivers.
+const REQUESTS: [(u32, u32); 2] = [(20, 21), (22, 23)];
+
+/// One UART as a link's wire.
+pub struct DmaUart {
+    number: usize,
+    /// Place of the next byte to hand over.
+    read: usize,
+    /// Bytes handed over or passed over.
+    consumed: u32,
+    overruns: u32,
+    /// When the last byte given to the UART has left.
+    sent_at: LocalTicks,
+}
+
+/// What the receive interrupt does for one UART.
+pub struct RxWatch {
+    number: usize,
+    seen: usize,
+}
+
+/// The receive interrupt's part of both UARTs.
+#[must_use]
+pub const fn watches() -> [RxWatch; 2] {
+    [RxWatch { number: 0, seen: 0 }, RxWatch { number: 1, seen: 0 }]
+}
+
+/// Sets all channels going. The UARTs are enabled already.
+pub(crate) fn start(dma: &pac::DMA, resets: &mut pac::RESETS) -> [DmaUart; 2] {
+    resets.reset().modify(|_, w| w.dma().clear_bit());
+    while resets.reset_done().read().dma().bit_is_clear() {}
+    for number in 0..2 {
+        uart(number).uartdmacr().write(|w| w.rxdmae().set_bit().txdmae().set_bit());
+        start_receiver(dma, number);
+    }
+    let receive = 1 << CHANNELS[0].bytes | 1 << CHANNELS[1].bytes;
+    let transmit = 1 << CHANNELS[0].transmit | 1 << CHANNELS[1].transmit;
+    // SAFETY: these are bits of the channels above
+    unsafe {
+        dma.inte0().write(|w| w.bits(receive));
+        dma.inte1().write(|w| w.bits(transmit));
+    }
+    [0, 1].map(|number| DmaUart { number, read: 0, consumed: 0, overruns: 0, sent_at: LocalTicks::ZERO })
+}
+
+fn start_receiver(dma: &pac::DMA, number: usize) {
+    let Channels { bytes, stamps, .. } = CHANNELS[number];
+    let stamp_ctrl = ctrl::ENABLE
+        | ctrl::WORDS
+        | ctrl::INCREMENT_WRITE
+        | ctrl::ring(RING_BITS + 2)
+        | ctrl::RING_ON_WRITE
+        | ctrl::chain_to(bytes)
+        | ctrl::request(TREQ_NONE)
+        | ctrl::QUIET;
+    let byte_ctrl = ctrl::ENABLE
+        | ctrl::INCREMENT_WRITE
+        | ctrl::ring(RING_BITS)
+        | ctrl::RING_ON_WRITE
+        | ctrl::chain_to(stamps)
+        | ctrl::request(REQUESTS[number].1);
+    let channel = dma.ch(stamps);
+    // SAFETY: the addresses are the timer's and of rings that live for good and are aligned to their size
+    unsafe {
+        channel.ch_read_addr().write(|w| w.bits(clock::stamp_address()));
+        channel.ch_write_addr().write(|w| w.bits(RX_STAMP_BUFFER[number].0.get() as u32));
+        channel.ch_trans_count().write(|w| w.bits(1));
+        channel.ch_al1_ctrl().write(|w| w.bits(stamp_ctrl));
+    }
+    let channel = dma.ch(bytes);
+    // SAFETY: as above, and the UART's data register
+    unsafe {
+        channel.ch_read_addr().write(|w| w.bits(uart(number).uartdr().as_ptr() as u32));
+        channel.ch_write_addr().write(|w| w.bits(RX_BYTE_BUFFER[number].0.get() as u32));
+        channel.ch_trans_count().write(|w| w.bits(1));
+        channel.ch_ctrl_trig().write(|w| w.bits(byte_ctrl));
+    }
+}
+
+impl RxWatch {
+    /// Counts what has come; says whether routing has something to do: a frame has ended, or many bytes wait.
+    pub fn take(&mut self) -> bool {
+        let Channels { bytes, .. } = CHANNELS[self.number];
+        // SAFETY: clearing its own channel's flag
+        dma().intr().write(|w| unsafe { w.bits(1 << bytes) });
+        let end = ring_place(dma().ch(bytes).ch_write_addr().read().bits(), 0);
+        let total = &RX_TOTAL[self.number];
+        // this interrupt is the only writer, so no read-modify-write is needed, which a Cortex-M0+ does not have
+        let mut count = total.load(Ordering::Relaxed);
+        let mut wake = false;
+        while self.seen != end {
+            wake |= byte_at(self.number, self.seen) == DELIMITER || count & WAKE_MASK == WAKE_MASK;
+            self.seen = (self.seen + 1) & RING_MASK;
+            count = count.wrapping_add(1);
+        }
+        total.store(count, Ordering::Relaxed);
+        wake
+    }
+}
+
+/// Ends the interrupts of frames that have gone to their UARTs; routing may have the next ones.
+pub fn clear_transmitted() {
+    let both = 1 << CHANNELS[0].transmit | 1 << CHANNELS[1].transmit;
+    // SAFETY: clearing flags of channels that are this module's
+    dma().intr().write(|w| unsafe { w.bits(both) });
+}
+
+impl Wire for DmaUart {
+    fn drain(&mut self, mut take: impl FnMut(&[u8], LocalTicks)) {
+        let come = RX_TOTAL[self.number].load(Ordering::Relaxed).wrapping_sub(self.consumed).cast_signed();
+        // a byte is there once its stamp is
+        let end = ring_place(dma().ch(CHANNELS[self.number].stamps).ch_write_addr().read().bits(), 2);
+        if come >= RING_BYTES.cast_signed() as i32 {
+            self.overruns += 1;
+            self.consumed = self.consumed.wrapping_add_signed(come);
+            self.read = end;
+            // ends the frame that was cut
+            take(&[DELIMITER], clock::now());
+            return;
+        }
+        let now_us = clock::now_us();
+        while self.read != end {
+            let start = self.read;
+            let limit = if end > start { end } else { RING_BYTES };
+            // SAFETY: the DMA writes at or beyond `end`, and reaches `start` again only after a lap
+            let ring = unsafe { &*RX_BYTE_BUFFER[self.number].0.get() };
+            let run = &ring[start..limit];
+            let len = run.iter().position(|byte| *byte == DELIMITER).map_or(run.len(), |at| at + 1);
+            // SAFETY: the place is within the ring; volatile since the DMA wrote it
+            let stamp = unsafe { RX_STAMP_BUFFER[self.number].0.get().cast::<u32>().add(start).read_volatile() };
+            let ended = LocalTicks::from_us(clock::at_stamp(stamp, now_us));
+            take(&run[..len], ended);
+            self.read = (start + len) & RING_MASK;
+            self.consumed = self.consumed.wrapping_add(len as u32);
+        }
+    }
+
+    fn take_overruns(&mut self) -> u32 {
+        core::mem::take(&mut self.overruns)
+    }
+
+    fn clear_at(&mut self, now: LocalTicks) -> Option<LocalTicks> {
+        let busy = dma().ch(CHANNELS[self.number].transmit).ch_al1_ctrl().read().bits() & ctrl::BUSY != 0;
+        (!busy).then(|| self.sent_at.max(now))
+    }
+
+    fn room(&mut self) -> &mut [u8] {
+        // SAFETY: one `DmaUart` has this number, and its DMA is idle while `clear_at` is some, which is asked before
+        unsafe { &mut *TX_FRAME_BUFFER[self.number].0.get() }
+    }
+
+    fn send(&mut self, len: usize, at: LocalTicks) {
+        let Channels { transmit, .. } = CHANNELS[self.number];
+        let control = ctrl::ENABLE
+            | ctrl::INCREMENT_READ
+            | ctrl::chain_to(transmit)
+            | ctrl::request(REQUESTS[self.number].0);
+        let channel = dma().ch(transmit);
+        let len = len.min(FRAME_BYTES) as u32;
+        // SAFETY: from a buffer that lives for good and is not written before the channel is idle, to the UART's data register
+        unsafe {
+            channel.ch_read_addr().write(|w| w.bits(TX_FRAME_BUFFER[self.number].0.get() as u32));
+            channel.ch_write_addr().write(|w| w.bits(uart(self.number).uartdr().as_ptr() as u32));
+            channel.ch_trans_count().write(|w| w.bits(len));
+            channel.ch_ctrl_trig().write(|w| w.bits(control));
+        }
+        self.sent_at = at + Span::from_steps(u64::from(len * BYTE_STEPS_Q8 >> 8));
+    }
+}
+
+/// Place in a ring of what is at `address`, for elements of 2^`shift` bytes.
+const fn ring_place(address: u32, shift: u32) -> usize {
+    (address >> shift) as usize & RING_MASK
+}
+
+fn byte_at(number: usize, place: usize) -> u8 {
+    // SAFETY: `place` is masked to the ring; volatile since the DMA wrote it
+    unsafe { RX_BYTE_BUFFER[number].0.get().cast::<u8>().add(place & RING_MASK).read_volatile() }
+}
+
+fn dma() -> &'static pac::dma::RegisterBlock {
+    // SAFETY: the block is there for good; each register used belongs to one context, or is write-one-to-clear
+    unsafe { &*pac::DMA::ptr() }
+}
+
+fn uart(number: usize) -> &'static pac::uart0::RegisterBlock {
+    let base = if number == 0 { pac::UART0::ptr() } else { pac::UART1::ptr() };
+    // SAFETY: both UARTs have the same registers; only addresses and the DMA switch are used
+    unsafe { &*base }
+}

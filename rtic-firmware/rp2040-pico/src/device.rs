@@ -1,0 +1,200 @@
+//! The device of this image: its sizes, its links, and what the tasks of `main.rs` do.
+//!
+//! - **Context:** [`start`] in `init`; [`Routing`] and [`Links`] in `route`; [`Keeper`] in `idle`.
+
+#![expect(unreachable_pub, reason = "RTIC has its resources be public types")]
+
+use board_rp2040_pico::clock::{self, Alarm};
+use board_rp2040_pico::pac::{Interrupt, Peripherals};
+use board_rp2040_pico::uart::DmaUart;
+use board_rp2040_pico::{Board, UART_BAUD};
+use firmware_app::lock::NodeLock;
+use firmware_app::{Device, Link, Services, kind};
+use fixed_math::time::{LocalTicks, Span};
+use osap_protocol::discovery::{BuildKind, GatewayKind, Name, UniqueId};
+use osap_protocol::framing::Check;
+use osap_runtime::{GatewayConfig, Node};
+
+/// Wakes routing.
+pub const ROUTE: Interrupt = Interrupt::SW0_IRQ;
+/// Wakes serving.
+pub const SERVE: Interrupt = Interrupt::SW1_IRQ;
+
+const SLOTS: usize = 16;
+const PACKET_BYTES: usize = 256;
+const GATEWAYS: usize = 3;
+const PORTS: usize = 4;
+const MESSAGE_BYTES: usize = 1024;
+const FRAME_BYTES: usize = PACKET_BYTES + Check::Crc16.len();
+/// Routing runs at least so often, to feed the watchdog.
+const IDLE_US: u64 = 100_000;
+
+/// This image's node.
+pub type PicoNode = Node<SLOTS, PACKET_BYTES, GATEWAYS, PORTS>;
+/// Its services.
+pub type PicoServices = Services<PACKET_BYTES, MESSAGE_BYTES>;
+
+const UART: GatewayConfig = GatewayConfig {
+    type_name: "uart",
+    kind: GatewayKind::Link,
+    mtu_bytes: 256,
+    bit_rate: UART_BAUD,
+    bits_a_byte: 10,
+    check: Check::Crc16,
+    packet_hold_max: 6,
+};
+
+/// All links, in order of their gateways.
+pub struct Links {
+    uarts: [Link<DmaUart, PACKET_BYTES, FRAME_BYTES>; 2],
+    #[cfg(feature = "usb")]
+    usb: Link<board_rp2040_pico::usb::UsbWire, PACKET_BYTES, FRAME_BYTES>,
+}
+
+impl Links {
+    /// Does what the USB asks for.
+    pub fn poll_usb(&mut self) {
+        #[cfg(feature = "usb")]
+        self.usb.wire().poll();
+    }
+
+    fn receive(&mut self, node: &mut PicoNode, now: LocalTicks) {
+        self.uarts.iter_mut().for_each(|uart| uart.receive(node, now));
+        #[cfg(feature = "usb")]
+        self.usb.receive(node, now);
+    }
+
+    fn transmit(&mut self, node: &mut PicoNode, now: LocalTicks) {
+        self.uarts.iter_mut().for_each(|uart| uart.transmit(node, now));
+        #[cfg(feature = "usb")]
+        self.usb.transmit(node, now);
+    }
+}
+
+/// What the routing task has to itself.
+pub struct Routing {
+    alarm: Alarm,
+    #[cfg(feature = "watchdog")]
+    watchdog: board_rp2040_pico::Watchdog,
+}
+
+impl Routing {
+    /// Takes in what came, routes, sends what goes; says whether a service has something to do.
+    pub fn run(&mut self, node: &mut PicoNode, links: &mut Links, due: Option<LocalTicks>) -> bool {
+        links.receive(node, clock::now());
+        let now = clock::now();
+        node.run(now);
+        links.transmit(node, now);
+        #[cfg(feature = "watchdog")]
+        self.watchdog.feed();
+        let wake = now + Span::from_us(IDLE_US);
+        let waiting = kind::HUB.service_ports().any(|port| node.waiting(port) > 0);
+        let is_due = due.is_some_and(|due| due <= now);
+        // a service that is due says itself when it is next
+        let due = due.filter(|_| !is_due);
+        self.alarm.set([node.next_wake(), due].into_iter().flatten().fold(wake, LocalTicks::min));
+        waiting || is_due
+    }
+}
+
+/// Keeps what is to outlast power-off.
+pub struct Keeper {
+    #[cfg(feature = "settings")]
+    settings: Option<firmware_app::settings::Settings<board_rp2040_pico::flash::SettingsFlash>>,
+}
+
+impl Keeper {
+    /// Writes a new name, if there is one.
+    pub fn keep(&mut self, name: Option<Name>) {
+        #[cfg(feature = "settings")]
+        if let (Some(settings), Some(name)) = (&mut self.settings, name) {
+            let _lasts_until_power_off = settings.set_name(&name);
+        }
+        #[cfg(not(feature = "settings"))]
+        let _lasts_until_power_off = name;
+    }
+}
+
+/// The node behind RTIC's lock.
+pub struct SharedNode<M>(pub M);
+
+impl<M: rtic::Mutex<T = PicoNode>> NodeLock for SharedNode<M> {
+    type Node = PicoNode;
+
+    fn lock<R>(&mut self, work: impl FnOnce(&mut PicoNode) -> R) -> R {
+        self.0.lock(work)
+    }
+
+    fn wake_routing(&mut self) {
+        rtic::pend(ROUTE);
+    }
+}
+
+/// What `init` makes.
+pub struct Parts {
+    /// Shared by all below interrupts.
+    pub node: PicoNode,
+    /// Of routing and USB.
+    pub links: Links,
+    /// Routing's own.
+    pub routing: Routing,
+    /// Serving's own.
+    pub services: PicoServices,
+    /// Idle's own.
+    pub keeper: Keeper,
+}
+
+/// Starts the board and makes the device.
+pub fn start(peripherals: Peripherals) -> Parts {
+    let board = Board::init(peripherals, cfg!(feature = "usb"));
+    let (keeper, name, boots) = settings();
+    let kind = &kind::KINDS[usize::from(board.straps) % kind::KINDS.len()];
+    let id = UniqueId(board.unique_id);
+    let device = Device::new(kind, id, boots, BuildKind::Firmware, &name).expect("as many ports as the kinds have");
+    let (mut node, services) = device.into_parts();
+    #[cfg(feature = "report")]
+    if let Some(report) = &board.report {
+        crate::handlers::tell(&mut node, report);
+    }
+    let uarts = board.uarts.map(|uart| Link::new(uart, UART, &mut node).expect("a place for each UART"));
+    #[cfg(feature = "usb")]
+    let usb = {
+        let config = GatewayConfig { type_name: "usb-cdc", bit_rate: 0, bits_a_byte: 8, check: Check::None, ..UART };
+        Link::new(board.usb.expect("asked for"), config, &mut node).expect("a place for USB")
+    };
+    let links = Links {
+        uarts,
+        #[cfg(feature = "usb")]
+        usb,
+    };
+    #[cfg(feature = "watchdog")]
+    let watchdog = {
+        let mut watchdog = board.watchdog;
+        watchdog.start();
+        watchdog
+    };
+    let routing = Routing {
+        alarm: board.alarm,
+        #[cfg(feature = "watchdog")]
+        watchdog,
+    };
+    Parts { node, links, routing, services, keeper }
+}
+
+/// The settings' keeper, the name in them and which start this is.
+#[cfg(feature = "settings")]
+fn settings() -> (Keeper, Name, u32) {
+    use board_rp2040_pico::flash::{SETTINGS_BYTES, SettingsFlash};
+    // SAFETY: called once; code, constants and vectors are in RAM, and the DMA reads no flash
+    let flash = unsafe { SettingsFlash::new() };
+    let settings = firmware_app::settings::Settings::load(flash, 0..SETTINGS_BYTES).ok();
+    let name = settings.as_ref().and_then(|settings| Name::try_from(settings.name()).ok()).unwrap_or_default();
+    let boots = settings.as_ref().map_or(1, firmware_app::settings::Settings::boots);
+    (Keeper { settings }, name, boots)
+}
+
+/// Without settings each start looks like the first.
+#[cfg(not(feature = "settings"))]
+fn settings() -> (Keeper, Name, u32) {
+    (Keeper {}, Name::new(), 1)
+}

@@ -1,0 +1,114 @@
+//! A Raspberry Pi Pico in the network: two UART links and USB, an RP2040 at 125 MHz, all code in RAM.
+//!
+//! | task        | bound to    | priority | period / deadline     | shares      | worst cycles (measured) |
+//! |-------------|-------------|----------|-----------------------|-------------|-------------------------|
+//! | receive     | DMA_IRQ_0   | 3        | ring lap, 1.7 ms      | -           | see docs/figures.md     |
+//! | transmitted | DMA_IRQ_1   | 2        | UART FIFO, 107 µs     | -           |                         |
+//! | wake        | TIMER_IRQ_0 | 2        | packet TTL            | -           |                         |
+//! | usb         | USBCTRL_IRQ | 2        | bus, 1 ms             | links       |                         |
+//! | route       | SW0_IRQ     | 2        | packet TTL            | node, links |                         |
+//! | serve       | SW1_IRQ     | 1        | packet TTL            | node        |                         |
+//! | idle        | -           | 0        | none                  | node        |                         |
+//!
+//! Priority 4 is kept for interpolation. Bytes and their stamps are moved by DMA, so that no priority is urgent for them. The node is held by
+//! `serve` for single calls; a service works without it.
+#![no_std]
+#![no_main]
+
+#[cfg(not(feature = "node"))]
+mod bare;
+#[cfg(feature = "node")]
+mod device;
+#[cfg(feature = "report")]
+mod handlers;
+
+#[cfg(not(feature = "report"))]
+#[panic_handler]
+fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
+    cortex_m::peripheral::SCB::sys_reset()
+}
+
+#[cfg(feature = "node")]
+#[rtic::app(device = board_rp2040_pico::pac, peripherals = true)]
+mod app {
+    use crate::device::{Keeper, Links, PicoNode, PicoServices, ROUTE, Routing, SERVE, SharedNode};
+    use board_rp2040_pico::clock::{self, Alarm};
+    use board_rp2040_pico::uart::{self, RxWatch};
+    use firmware_app::lock::SharedMailbox;
+    use fixed_math::time::LocalTicks;
+
+    #[shared]
+    struct Shared {
+        node: PicoNode,
+        links: Links,
+        /// When a service has something to send.
+        due: Option<LocalTicks>,
+    }
+
+    #[local]
+    struct Local {
+        watches: [RxWatch; 2],
+        routing: Routing,
+        services: PicoServices,
+        keeper: Keeper,
+    }
+
+    #[init]
+    fn init(cx: init::Context) -> (Shared, Local) {
+        let crate::device::Parts { node, links, routing, services, keeper } = crate::device::start(cx.device);
+        rtic::pend(ROUTE);
+        (Shared { node, links, due: None }, Local { watches: uart::watches(), routing, services, keeper })
+    }
+
+    #[idle(local = [keeper], shared = [node])]
+    fn idle(mut cx: idle::Context) -> ! {
+        loop {
+            let name = cx.shared.node.lock(|node| node.take_new_name().and_then(|name| name.try_into().ok()));
+            cx.local.keeper.keep(name);
+            cortex_m::asm::wfi();
+        }
+    }
+
+    #[task(binds = DMA_IRQ_0, priority = 3, local = [watches])]
+    fn receive(cx: receive::Context) {
+        if cx.local.watches.iter_mut().fold(false, |wake, watch| watch.take() | wake) {
+            rtic::pend(ROUTE);
+        }
+    }
+
+    #[task(binds = DMA_IRQ_1, priority = 2)]
+    fn transmitted(_: transmitted::Context) {
+        uart::clear_transmitted();
+        rtic::pend(ROUTE);
+    }
+
+    #[task(binds = TIMER_IRQ_0, priority = 2)]
+    fn wake(_: wake::Context) {
+        Alarm::clear();
+        rtic::pend(ROUTE);
+    }
+
+    #[task(binds = USBCTRL_IRQ, priority = 2, shared = [links])]
+    fn usb(mut cx: usb::Context) {
+        cx.shared.links.lock(Links::poll_usb);
+        rtic::pend(ROUTE);
+    }
+
+    #[task(binds = SW0_IRQ, priority = 2, shared = [node, links, due], local = [routing])]
+    fn route(cx: route::Context) {
+        let routing = cx.local.routing;
+        let serve = (cx.shared.node, cx.shared.links, cx.shared.due).lock(|node, links, due| routing.run(node, links, *due));
+        if serve {
+            rtic::pend(SERVE);
+        }
+    }
+
+    #[task(binds = SW1_IRQ, priority = 1, shared = [node, due], local = [services])]
+    fn serve(mut cx: serve::Context) {
+        let mut mailbox = SharedMailbox(SharedNode(cx.shared.node));
+        while cx.local.services.serve_next(&mut mailbox, clock::now()) {}
+        let next = cx.local.services.next_wake();
+        cx.shared.due.lock(|due| *due = next);
+        rtic::pend(ROUTE);
+    }
+}
