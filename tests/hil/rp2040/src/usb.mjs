@@ -1,0 +1,91 @@
+// An outside endpoint over USB-CDC. The host class of the package enumerates the device; packets take the package's
+// fixed times, so nothing about USB timing follows from here. The firmware must use max_packet_size_0(64).
+import { USBCDC } from 'rp2040js';
+import { Delimiter } from './wire.mjs';
+
+const BULK_BYTES = 64;
+
+export class UsbPort {
+  /** @param {string} name @param {import('./chip.mjs').Chip} chip */
+  constructor(name, chip) {
+    this.name = name;
+    this.chip = chip;
+    this.lines = [];
+    this.isCut = false;
+    this.delimiter = new Delimiter(name);
+    /** @type {{ bytes: Uint8Array, startNs: number }[]} */
+    this.sending = [];
+    /** @type {number[]} due, but not yet taken by the device */
+    this.outgoing = [];
+    /** @type {import('./wire.mjs').PortEvent[]} */
+    this.events = [];
+    /** Bytes that the device is ready to take; 0: none, it answers NAK. */
+    this.ready = 0;
+    /** The bulk endpoint towards the device, private in the package; -1 before the device is known. */
+    this.outEndpoint = () => -1;
+    chip.onBoot.push(() => this.#attach());
+    this.#attach();
+  }
+
+  /** @param {boolean} isCut */
+  set cut(isCut) {
+    this.isCut = isCut;
+  }
+
+  #attach() {
+    const usb = this.chip.rp.usbCtrl;
+    const cdc = new USBCDC(usb);
+    this.outEndpoint = () => /** @type {any} */ (cdc).outEndpoint;
+    this.ready = 0;
+    this.outgoing = [];
+    cdc.onSerialData = (data) => this.#received(data);
+    // The package answers each buffer at once, with an empty packet if need be, for ever; a real host sends nothing.
+    usb.onEndpointRead = (endpoint, size) => {
+      if (endpoint !== this.outEndpoint()) return;
+      this.ready = size;
+      this.#feed();
+    };
+  }
+
+  #feed() {
+    if (this.ready === 0 || this.outgoing.length === 0) return;
+    const packet = Uint8Array.from(this.outgoing.splice(0, Math.min(this.ready, BULK_BYTES)));
+    this.ready = 0;
+    this.chip.rp.usbCtrl.endpointReadDone(this.outEndpoint(), packet);
+  }
+
+  /** @param {Uint8Array} data */
+  #received(data) {
+    if (this.isCut) return;
+    const now = this.chip.now;
+    for (const byte of data) {
+      const event = this.delimiter.push(byte, now, now);
+      if (event) this.events.push(event);
+    }
+  }
+
+  /** @param {Uint8Array} bytes @param {number} earliestNs */
+  send(bytes, earliestNs) {
+    this.sending.push({ bytes, startNs: earliestNs });
+    return { start_ns: earliestNs, end_ns: earliestNs };
+  }
+
+  get nextNs() {
+    return this.sending[0]?.startNs ?? Infinity;
+  }
+
+  /** @param {number} untilNs */
+  pump(untilNs) {
+    while (this.sending.length > 0 && this.sending[0].startNs < untilNs) {
+      const { bytes } = /** @type {{ bytes: Uint8Array }} */ (this.sending.shift());
+      if (this.isCut || !this.chip.isOn) continue;
+      this.outgoing.push(...bytes);
+      this.#feed();
+    }
+  }
+
+  /** @param {number} _nowNs */
+  collect(_nowNs) {
+    return this.events.splice(0);
+  }
+}
