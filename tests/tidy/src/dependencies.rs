@@ -1,12 +1,15 @@
 //! Who may depend on whom: the table of the design page, section 2, as data and a check.
 //!
+//! Boards and images are many and alike, so they have one row each for all of their kind. They are built one by one for their
+//! chips; `default-members` has all other members, and only those.
+//!
 //! The cores build for a microcontroller, so each crate they use is a decision of its own; on the host any crate from
 //! outside may be used. `dev-dependencies` are free, but for one thing: nothing that `osap` may not be a part of can
 //! reach it, not even through a helper crate, or a core could no longer be tested without the host's half.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::manifest::{self, Dependency, Kind, Member};
+use crate::manifest::{self, Dependency, Kind, Member, Place};
 use crate::problem::Problem;
 use crate::tree::Tree;
 
@@ -60,7 +63,13 @@ const RULES: [Rule; 7] = [
         folder: "rtic-firmware/app",
         name: "firmware-app",
         ours: May::Only(&["osap-runtime", "osap-protocol", "fixed-math"]),
-        outside: May::Only(&["heapless"]),
+        outside: May::Only(&[
+            "heapless",
+            "sequential-storage",
+            "embedded-storage",
+            "embedded-storage-async",
+            "embassy-futures",
+        ]),
     },
     Rule {
         folder: "sim",
@@ -71,6 +80,9 @@ const RULES: [Rule; 7] = [
     Rule { folder: "host-cli", name: HOST, ours: May::Any, outside: May::Any },
     Rule { folder: "xtask", name: "xtask", ours: May::Only(&[]), outside: May::Any },
 ];
+
+/// What every board may use: its interrupts hand over to the device's parts, and any crate of its vendor.
+const OF_A_BOARD: [&str; 4] = ["firmware-app", "osap-runtime", "osap-protocol", "fixed-math"];
 
 /// Where this table stands, for the messages.
 const TABLE: &str = "`RULES` in tests/tidy/src/dependencies.rs";
@@ -88,12 +100,75 @@ fn check_member(member: &Member, by_name: &BTreeMap<&str, &Member>) -> Vec<Probl
     if member.folder.starts_with("tests/") {
         return Vec::new();
     }
+    if let Place::Board(folder) | Place::Image(folder) = member.place() {
+        return check_embedded(member, folder, by_name);
+    }
     let Some(rule) = RULES.iter().find(|rule| rule.folder == member.folder && rule.name == member.name) else {
         let what = format!("no rule says what the crate `{}` in `{}` may depend on", member.name, member.folder);
         let mend = format!("add a row for this folder and name to {TABLE}, as the design page says");
         return vec![Problem::in_file(&member.manifest, what, mend)];
     };
     member.dependencies.iter().filter_map(|dependency| check_dependency(member, rule, dependency, by_name)).collect()
+}
+
+/// The kind of hardware that a folder is named for: up to its first dash.
+fn family(folder: &str) -> &str {
+    folder.split_once('-').map_or(folder, |(family, _)| family)
+}
+
+/// An image uses the board of its own folder. Beyond that, both may use boards of their family, which share registers.
+fn check_embedded(member: &Member, folder: &str, by_name: &BTreeMap<&str, &Member>) -> Vec<Problem> {
+    let (kind, board) = match member.place() {
+        Place::Image(_) => ("image", Some(format!("board-{folder}"))),
+        _ => ("board", None),
+    };
+    let expected = format!("{kind}-{folder}");
+    let mut problems = Vec::new();
+    if member.name != expected {
+        let what = format!("the crate in `{}` is called `{}`", member.folder, member.name);
+        problems.push(Problem::in_file(&member.manifest, what, format!("call it `{expected}`, after its folder")));
+    }
+    let is_of_family = |used: &str| used.strip_prefix("board-").is_some_and(|other| family(other) == family(folder));
+    let is_granted = |used: &str| OF_A_BOARD.contains(&used) || board.as_deref() == Some(used) || is_of_family(used);
+    for dependency in &member.dependencies {
+        let used = dependency.package.as_str();
+        if !by_name.contains_key(used) || is_granted(used) {
+            continue;
+        }
+        let own = board.as_ref().map_or_else(String::new, |board| format!("{board}, "));
+        let granted = OF_A_BOARD.join(", ");
+        problems.push(Problem {
+            path: member.manifest.clone(),
+            line: dependency.line,
+            what: format!("`{}` may not depend on `{used}`: of our crates it may use {own}{granted}", member.name),
+            mend: format!("drop the dependency, or decide otherwise on the design page and then in {TABLE}"),
+        });
+    }
+    problems
+}
+
+/// What builds on a host is a default member, so that a plain `cargo test` reaches it; boards and images are none, so that
+/// it does not try to build them for the host.
+#[must_use]
+pub fn default_members_build_on_a_host(tree: &Tree) -> Vec<Problem> {
+    let (members, mut problems) = manifest::members(tree);
+    let default = manifest::default_members(tree);
+    let root = "Cargo.toml";
+    for member in &members {
+        let folder = &member.folder;
+        match (member.place(), default.contains(folder)) {
+            (Place::Host, false) => {
+                let what = format!("`{folder}` builds on a host and is no default member");
+                problems.push(Problem::in_file(root, what, "add it to `default-members`"));
+            }
+            (Place::Board(_) | Place::Image(_), true) => {
+                let what = format!("`{folder}` builds for a chip only and is a default member");
+                problems.push(Problem::in_file(root, what, "take it out of `default-members`"));
+            }
+            _ => {}
+        }
+    }
+    problems
 }
 
 fn check_dependency(
@@ -210,6 +285,67 @@ mod tests {
         ]);
         let [problem] = &follow_the_table(&tree)[..] else { panic!("one problem") };
         assert_eq!(problem.what, "the tests of `osap-runtime` reach `osap`: osap-runtime → helper → osap");
+    }
+
+    #[test]
+    fn boards_and_images_may_use_what_their_kind_may() {
+        let ours = "firmware-app.path = \"x\"\nosap-runtime.path = \"x\"\n";
+        let image = format!("[dependencies]\nboard-a.path = \"x\"\nrtic = \"2\"\n{ours}");
+        let tree = workspace(&[
+            ("runtime", "osap-runtime", ""),
+            ("rtic-firmware/app", "firmware-app", "[dependencies]\nsequential-storage = \"1\"\n"),
+            ("boards/a", "board-a", &format!("[dependencies]\nvendor-hal = \"1\"\n{ours}")),
+            ("boards/chip-two", "board-chip-two", "[dependencies]\nboard-chip-one.path = \"x\"\n"),
+            ("boards/chip-one", "board-chip-one", ""),
+            ("rtic-firmware/a", "image-a", &image),
+        ]);
+        assert_eq!(follow_the_table(&tree), []);
+    }
+
+    #[test]
+    fn boards_and_images_may_not_use_what_is_the_hosts_or_another_boards() {
+        let tree = workspace(&[
+            ("host-cli", "osap", ""),
+            ("boards/a", "board-a", "[dependencies]\nosap.path = \"x\"\n"),
+            ("boards/b", "board-b", "[dependencies]\nboard-a.path = \"x\"\n"),
+            ("rtic-firmware/a", "image-a", "[dependencies]\nboard-b.path = \"x\"\n"),
+            ("rtic-firmware/b", "b", ""),
+        ]);
+        let found: Vec<_> = follow_the_table(&tree).iter().map(|problem| problem.what.clone()).collect();
+        let granted = "firmware-app, osap-runtime, osap-protocol, fixed-math";
+        assert_eq!(
+            found,
+            [
+                format!("`board-a` may not depend on `osap`: of our crates it may use {granted}"),
+                format!("`board-b` may not depend on `board-a`: of our crates it may use {granted}"),
+                format!("`image-a` may not depend on `board-b`: of our crates it may use board-a, {granted}"),
+                "the crate in `rtic-firmware/b` is called `b`".to_owned(),
+            ]
+        );
+    }
+
+    #[test]
+    fn a_default_member_that_needs_a_chip_or_a_member_of_the_host_that_is_none_is_found() {
+        let with_default = |default: &str| {
+            let manifests = ["sim", "boards/a", "rtic-firmware/a", "rtic-firmware/app"];
+            let members = format!("[workspace]\nmembers = {manifests:?}\ndefault-members = {default}\n");
+            let mut files = vec![("Cargo.toml".to_owned(), members)];
+            files.extend(
+                manifests.map(|folder| (format!("{folder}/Cargo.toml"), "[package]\nname = \"a\"\n".to_owned())),
+            );
+            let files: Vec<_> = files.iter().map(|(path, text)| (&path[..], &text[..])).collect();
+            let found = default_members_build_on_a_host(&Tree::from_files(&files));
+            found.iter().map(|problem| problem.what.clone()).collect::<Vec<_>>()
+        };
+        assert_eq!(with_default("[\"sim\", \"rtic-firmware/app\"]"), [""; 0]);
+        assert_eq!(
+            with_default("[\"sim\", \"boards/a\", \"rtic-firmware/a\"]"),
+            [
+                "`boards/a` builds for a chip only and is a default member",
+                "`rtic-firmware/a` builds for a chip only and is a default member",
+                "`rtic-firmware/app` builds on a host and is no default member",
+            ]
+        );
     }
 
     #[test]

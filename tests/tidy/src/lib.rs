@@ -5,7 +5,7 @@
 //! - **Walk:** none. [`readme_walk`] reads the walk of one packet out of the README for the test that replays it.
 //! - **Invariants:** a check reads only the tree, so it can be shown to fail on a small bad tree in memory. A check that
 //!   finds nothing to look at says so as a problem: it never passes on an empty set.
-//! - **Context:** `cargo test -p tidy`; the same tests run within `cargo test --workspace`.
+//! - **Context:** `cargo test -p tidy`; the same tests run within a plain `cargo test`.
 //!
 //! ```
 //! use tidy::{Tree, modules};
@@ -16,6 +16,7 @@
 //! ```
 #![forbid(unsafe_code)]
 
+pub mod chips;
 pub mod clauses;
 pub mod dependencies;
 pub mod facts;

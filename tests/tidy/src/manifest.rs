@@ -5,6 +5,26 @@ use toml::{Table, Value};
 use crate::problem::Problem;
 use crate::tree::{File, Tree};
 
+/// Folder whose members hold what differs from board to board.
+pub const BOARDS: &str = "boards/";
+
+/// Folder whose members are images, but for one.
+pub const IMAGES: &str = "rtic-firmware/";
+
+/// The member of that folder which all images share.
+const LIBRARY: &str = "rtic-firmware/app";
+
+/// Where a member runs, with its folder's own name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place<'a> {
+    /// On a workstation, whatever else it is built for.
+    Host,
+    /// Below an image, on one kind of board.
+    Board(&'a str),
+    /// It is what a board runs.
+    Image(&'a str),
+}
+
 /// Which table of a manifest a dependency stands in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
@@ -40,6 +60,19 @@ pub struct Member {
     pub roots: Vec<String>,
 }
 
+impl Member {
+    /// Where it runs.
+    #[must_use]
+    pub fn place(&self) -> Place<'_> {
+        let below = |folder: &str| self.folder.strip_prefix(folder).filter(|name| !name.contains('/'));
+        match (below(BOARDS), below(IMAGES)) {
+            (Some(name), _) => Place::Board(name),
+            (_, Some(name)) if self.folder != LIBRARY => Place::Image(name),
+            _ => Place::Host,
+        }
+    }
+}
+
 /// The members that the root manifest lists, and a problem for each manifest that is missing, is not TOML, or lacks
 /// what is needed. One bad manifest does not hide the other members from a check.
 #[must_use]
@@ -65,6 +98,14 @@ pub fn members(tree: &Tree) -> (Vec<Member>, Vec<Problem>) {
         }
     }
     (members, problems)
+}
+
+/// Folders that `default-members` of the root manifest lists: what Cargo builds where no package is named.
+#[must_use]
+pub fn default_members(tree: &Tree) -> Vec<String> {
+    let root = parse(tree, "Cargo.toml").unwrap_or_default();
+    let listed = root.get("workspace").and_then(|workspace| workspace.get("default-members")).and_then(Value::as_array);
+    listed.into_iter().flatten().filter_map(Value::as_str).map(str::to_owned).collect()
 }
 
 fn parse(tree: &Tree, path: &str) -> Result<Table, Problem> {

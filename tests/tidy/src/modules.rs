@@ -1,11 +1,12 @@
 //! What has to stand at the top of files: no unsafe code, no standard library in the cores, docs in every module.
 
 use crate::dependencies::CORES;
-use crate::manifest::{self, Member};
+use crate::manifest::{self, Member, Place};
 use crate::problem::Problem;
 use crate::tree::{File, Tree};
 
-/// The root of every library and binary says `#![forbid(unsafe_code)]`.
+/// The root of every library and binary says `#![forbid(unsafe_code)]`, but for those of boards and images, which reach
+/// registers; [`crate::chips`] has what they owe for it.
 #[must_use]
 pub fn forbid_unsafe(tree: &Tree) -> Vec<Problem> {
     let mend = "put `#![forbid(unsafe_code)]` below the docs of the crate";
@@ -13,6 +14,9 @@ pub fn forbid_unsafe(tree: &Tree) -> Vec<Problem> {
         if member.roots.is_empty() {
             let what = format!("`{}` has no library or binary whose attributes could be checked", member.name);
             return vec![Problem::in_file(&member.manifest, what, "add src/lib.rs or src/main.rs")];
+        }
+        if member.place() != Place::Host {
+            return Vec::new();
         }
         let lacks = |file: &&File| !file.facts.as_ref().is_some_and(|facts| facts.forbids_unsafe);
         let roots = member.roots.iter().filter_map(|root| tree.file(root)).filter(lacks);
@@ -76,6 +80,13 @@ mod tests {
             };
             assert_eq!(problem.path, format!("a/{root}"));
         }
+    }
+
+    #[test]
+    fn boards_and_images_may_have_unsafe_code_and_what_only_looks_like_one_may_not() {
+        let allows = |folder: &str| forbid_unsafe(&tree(folder, "a", "src/lib.rs", "//! A.\n")).is_empty();
+        assert!(allows("boards/a") && allows("rtic-firmware/a"));
+        assert!(!allows("rtic-firmware/app") && !allows("boards/a/b") && !allows("boards"));
     }
 
     #[test]

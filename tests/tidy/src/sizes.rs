@@ -26,7 +26,9 @@ const MARKER: &str = concat!("// tidy: ", "size:");
 /// No file and no function is over its limit without an excuse.
 #[must_use]
 pub fn are_small(tree: &Tree) -> Vec<Problem> {
-    tree.rust_files().flat_map(check_file).collect()
+    // Of a script only its file is measured: the parser knows Rust alone.
+    let is_source = |file: &&File| file.has_extension("rs") || file.has_extension("mjs");
+    tree.files().filter(is_source).flat_map(check_file).collect()
 }
 
 fn check_file(file: &File) -> Vec<Problem> {
@@ -130,6 +132,13 @@ mod tests {
         let over = format!("// a\n{full}");
         assert_eq!(problems("a/src/b.rs", &over), ["the file has 601 lines without its tests, over 600"]);
         assert_eq!(problems("a/src/b.rs", &format!("{MARKER} one table\n{over}")), [""; 0]);
+    }
+
+    #[test]
+    fn a_script_has_the_limit_of_a_file_too() {
+        assert_eq!(problems("tests/a/src/b.mjs", &"// a\n".repeat(FILE_LINES_MAX)), [""; 0]);
+        let found = problems("tests/a/src/b.mjs", &"// a\n".repeat(FILE_LINES_MAX + 1));
+        assert_eq!(found, ["the file has 601 lines without its tests, over 600"]);
     }
 
     #[test]

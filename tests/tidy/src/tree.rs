@@ -11,7 +11,10 @@ use crate::problem::Problem;
 const SKIPPED_FOLDERS: [&str; 3] = ["target", "node_modules", ".git"];
 
 /// Endings of the files that the checks read.
-const READ_EXTENSIONS: [&str; 5] = ["rs", "md", "toml", "sh", "lua"];
+const READ_EXTENSIONS: [&str; 6] = ["rs", "md", "toml", "sh", "lua", "mjs"];
+
+/// Names of files that programs write and that checks read, wherever they lie.
+const READ_LOCKS: [&str; 1] = ["package-lock.json"];
 
 /// Why a repository could not be read.
 #[derive(Debug, thiserror::Error)]
@@ -63,6 +66,12 @@ impl File {
     #[must_use]
     pub fn has_extension(&self, extension: &str) -> bool {
         Path::new(&self.path).extension().is_some_and(|have| have == extension)
+    }
+
+    /// Whether it is npm's list of the packages that were chosen.
+    #[must_use]
+    pub fn is_npm_lock(&self) -> bool {
+        self.path.rsplit('/').next() == Some(READ_LOCKS[0])
     }
 
     /// Whether one of the folders it lies in is called `name`.
@@ -191,7 +200,11 @@ fn read_folder(folder: &Path, prefix: &str, texts: &mut Vec<(String, String)>) -
 
 fn is_read(path: &str) -> bool {
     let extension = Path::new(path).extension().and_then(|extension| extension.to_str());
-    path == "Cargo.lock" || path.starts_with(".ci/") || extension.is_some_and(|known| READ_EXTENSIONS.contains(&known))
+    let is_lock = path.rsplit('/').next().is_some_and(|name| READ_LOCKS.contains(&name));
+    path == "Cargo.lock"
+        || is_lock
+        || path.starts_with(".ci/")
+        || extension.is_some_and(|known| READ_EXTENSIONS.contains(&known))
 }
 
 #[cfg(test)]
@@ -207,13 +220,19 @@ mod tests {
             (".ci/run", "true\n"),
             (".git/config.toml", "x"),
             ("picture.png", "x"),
+            ("a/b.mjs", "x"),
+            ("a/package-lock.json", "x"),
+            ("a/node_modules/b/c.mjs", "x"),
         ] {
             let path = root.path().join(path);
             fs::create_dir_all(path.parent().unwrap()).unwrap();
             fs::write(path, text).unwrap();
         }
         let tree = Tree::read(root.path()).unwrap();
-        assert_eq!(tree.files().map(|file| &file.path[..]).collect::<Vec<_>>(), [".ci/run", "a/src/lib.rs"]);
+        assert_eq!(
+            tree.files().map(|file| &file.path[..]).collect::<Vec<_>>(),
+            [".ci/run", "a/b.mjs", "a/package-lock.json", "a/src/lib.rs"]
+        );
     }
 
     #[test]

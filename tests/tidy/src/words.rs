@@ -44,7 +44,7 @@ const TIMELESS: [&str; 5] = ["fixed-math/", "protocol-spec/", "runtime/", "rtic-
 #[must_use]
 pub fn name_no_machine(tree: &Tree) -> Vec<Problem> {
     let mut problems = Vec::new();
-    for file in tree.files().filter(|file| file.path != "Cargo.lock") {
+    for file in tree.files().filter(|file| file.path != "Cargo.lock" && !file.is_npm_lock()) {
         let mut is_excused_from_above = false;
         for (number, line) in file.lines() {
             let is_excused = has_path_marker(line);
@@ -75,10 +75,25 @@ pub fn lock_names_one_source(tree: &Tree) -> Vec<Problem> {
         .collect()
 }
 
+/// No list of npm's packages says where one was fetched: that is a setting of a machine, as it is for the other lock file.
+#[must_use]
+pub fn npm_locks_name_no_source(tree: &Tree) -> Vec<Problem> {
+    let mend = "write the file with npm's setting `omit-lockfile-registry-resolved`: the hash of each package stays";
+    let mut problems = Vec::new();
+    for file in tree.files().filter(|file| file.is_npm_lock()) {
+        for (number, line) in file.lines().filter(|(_, line)| line.trim_start().starts_with("\"resolved\":")) {
+            let what = format!("a package comes from {}", line.trim().trim_start_matches("\"resolved\":").trim());
+            problems.push(Problem::at(&file.path, number, what, mend));
+        }
+    }
+    problems
+}
+
 /// No source has work left undone in it.
 #[must_use]
 pub fn leave_nothing_undone(tree: &Tree) -> Vec<Problem> {
-    let is_source = |file: &&File| ["rs", "lua", "sh", "toml"].iter().any(|extension| file.has_extension(extension));
+    let is_source =
+        |file: &&File| ["rs", "lua", "mjs", "sh", "toml"].iter().any(|extension| file.has_extension(extension));
     let mend = "do it now, or open an issue and take this out";
     find(tree.files().filter(is_source), &LEFTOVERS, |_| true, "stands for work left undone", mend)
 }
@@ -199,6 +214,15 @@ mod tests {
     }
 
     #[test]
+    fn an_npm_lock_that_names_a_place_is_found_and_hashes_are_let_be() {
+        let good = "{\n  \"node_modules/a\": {\n    \"integrity\": \"sha512-x\"\n";
+        assert_eq!(lines(npm_locks_name_no_source, "a/package-lock.json", good), [0; 0]);
+        let bad = format!("{good}    \"resolved\": \"https://mirror.example/a.tgz\",\n");
+        assert_eq!(lines(npm_locks_name_no_source, "a/package-lock.json", &bad), [4]);
+        assert_eq!(lines(npm_locks_name_no_source, "a/other.mjs", &bad), [0; 0]);
+    }
+
+    #[test]
     fn leftovers_are_found_and_longer_words_are_not_taken_for_them() {
         for word in LEFTOVERS {
             assert_eq!(lines(leave_nothing_undone, "a/src/b.rs", &format!("//! A.\n{word}(x);\n")), [2], "{word}");
@@ -206,6 +230,7 @@ mod tests {
         let upper = LEFTOVERS[0];
         assert_eq!(lines(leave_nothing_undone, "a/src/b.rs", &format!("// {upper}S {upper}_LIST MY{upper}\n")), [0; 0]);
         assert_eq!(lines(leave_nothing_undone, "a/b.lua", &format!("-- {upper}: x\n")), [1]);
+        assert_eq!(lines(leave_nothing_undone, "a/b.mjs", &format!("// {upper}: x\n")), [1]);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use tidy::{Problem, Tree, clauses, dependencies, modules, readme_walk, sizes, words};
+use tidy::{Problem, Tree, chips, clauses, dependencies, modules, readme_walk, sizes, words};
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
@@ -35,6 +35,26 @@ fn every_rust_file_parses() {
 #[test]
 fn dependencies_follow_the_table() {
     assert_none(&dependencies::follow_the_table(&tree()));
+}
+
+#[test]
+fn default_members_build_on_a_host() {
+    assert_none(&dependencies::default_members_build_on_a_host(&tree()));
+}
+
+#[test]
+fn unsafe_code_has_its_reason() {
+    assert_none(&chips::explain_unsafe(&tree()));
+}
+
+#[test]
+fn images_tell_their_tasks() {
+    assert_none(&chips::images_tell_their_tasks(&tree()));
+}
+
+#[test]
+fn npm_locks_name_no_source() {
+    assert_none(&words::npm_locks_name_no_source(&tree()));
 }
 
 #[test]
