@@ -170,13 +170,13 @@ mod tests {
         file.extend(words.iter().flat_map(|word| word.to_le_bytes()));
     }
 
-    /// An ELF for Arm by hand: 8 bytes of code at 0x100, 4 of data at 0x2000_0000 that are kept at 0x108, 16 zeroed.
+    /// An ELF for Arm by hand: 8 bytes of code at 0x100, 4 of data in RAM that are kept at 0x108, 16 zeroed.
     fn file() -> Vec<u8> {
         let mut file = b"\x7fELF\x01\x01\x01\0\0\0\0\0\0\0\0\0".to_vec();
         // executable for Arm (40), version 1, entry, program headers, section headers, flags
-        words(&mut file, &[40 << 16 | 2, 1, 0x101, 52, SECTIONS_AT, 0x0500_0000]);
+        words(&mut file, &[0x0028_0002, 1, 0x101, 52, SECTIONS_AT, 0x0500_0000]);
         // sizes and counts, two in a word: header 52, program headers 2 of 32, section headers 6 of 40, names in the fifth
-        words(&mut file, &[32 << 16 | 52, 40 << 16 | 2, 5 << 16 | 6]);
+        words(&mut file, &[0x0020_0034, 0x0028_0002, 0x0005_0006]);
         // to load: type, offset, virtual, physical, in the file, in memory, flags, alignment
         words(&mut file, &[1, TEXT_AT, 0x100, 0x100, 8, 8, 5, 4]);
         words(&mut file, &[1, TEXT_AT + 8, 0x2000_0000, 0x108, 4, 20, 6, 4]);
@@ -187,8 +187,8 @@ mod tests {
         file.resize(SYMBOLS_AT as usize, 0);
         // symbols: name, value, size, kind with its section; the function's value says Thumb
         words(&mut file, &[0; 4]);
-        words(&mut file, &[18, 0x2000_0001, 4, 2 << 16 | 0x12]);
-        words(&mut file, &[22, 0x2000_0004, 16, 3 << 16 | 0x11]);
+        words(&mut file, &[18, 0x2000_0001, 4, 0x0002_0012]);
+        words(&mut file, &[22, 0x2000_0004, 16, 0x0003_0011]);
         file.resize(SECTIONS_AT as usize, 0);
         // sections: name, type, flags, address, offset, size, link, info, alignment, entry
         words(&mut file, &[0; 10]);

@@ -141,8 +141,9 @@ impl Features {
 /// All images of the workspace, and where Cargo puts what it builds.
 #[derive(Clone, Debug)]
 pub(crate) struct Images {
-    images: Vec<Image>,
+    list: Vec<Image>,
     target_folder: PathBuf,
+    members: Vec<String>,
 }
 
 /// The part of `cargo metadata` that is used.
@@ -178,23 +179,24 @@ impl Images {
 
     fn parse(metadata: &str) -> Result<Self, ImageError> {
         let metadata: Metadata = serde_json::from_str(metadata)?;
-        let mut images = Vec::new();
+        let members = metadata.packages.iter().map(|package| package.name.clone()).collect();
+        let mut list = Vec::new();
         for package in metadata.packages {
             let manifest = package.manifest_path.strip_prefix(&metadata.workspace_root);
             let folder = manifest.ok().and_then(Path::parent).map(|folder| folder.to_string_lossy().replace('\\', "/"));
             let Some(folder) = folder.filter(|folder| folder != LIBRARY) else { continue };
             let Some(name) = folder.strip_prefix(FOLDER).filter(|name| !name.contains('/')) else { continue };
-            images.push(Image::new(name, package)?);
+            list.push(Image::new(name, package)?);
         }
-        images.sort_by(|one, other| one.name.cmp(&other.name));
-        Ok(Self { images, target_folder: metadata.target_directory })
+        list.sort_by(|one, other| one.name.cmp(&other.name));
+        Ok(Self { list, target_folder: metadata.target_directory, members })
     }
 
     /// The images that `name` means: one, or all.
     pub(crate) fn named(&self, name: &str) -> Result<Vec<&Image>, ImageError> {
-        let found: Vec<_> = self.images.iter().filter(|image| name == ALL || image.name == name).collect();
+        let found: Vec<_> = self.list.iter().filter(|image| name == ALL || image.name == name).collect();
         if found.is_empty() {
-            let known = self.images.iter().map(|image| image.name.clone()).collect();
+            let known = self.list.iter().map(|image| image.name.clone()).collect();
             return Err(ImageError::Unknown { name: name.to_owned(), known });
         }
         Ok(found)
@@ -202,12 +204,22 @@ impl Images {
 
     /// All of them; none before the first board is written.
     pub(crate) fn all(&self) -> &[Image] {
-        &self.images
+        &self.list
+    }
+
+    /// Whether the workspace has a package of this name, image or not.
+    pub(crate) fn has_member(&self, name: &str) -> bool {
+        self.members.iter().any(|member| member == name)
     }
 
     /// Where the ELF of `image` is once it was built.
     pub(crate) fn elf(&self, image: &Image) -> PathBuf {
         self.target_folder.join(&image.target).join("image").join(&image.name)
+    }
+
+    /// Where files made of images are put.
+    pub(crate) fn made_folder(&self) -> PathBuf {
+        self.target_folder.join("images")
     }
 
     /// Builds one image, in a call of Cargo of its own so that what one chip wants never reaches another.
@@ -290,6 +302,7 @@ mod tests {
         let images = Images::parse(&metadata(&[&others[..], &[PICO, EMULATED]].concat())).unwrap();
         let names: Vec<_> = images.named(ALL).unwrap().iter().map(|image| image.name.clone()).collect();
         assert_eq!(names, ["mps2-an500", "rp2040-pico"]);
+        assert!(images.has_member("firmware-app") && !images.has_member("osap-hil"));
         let pico = images.named("rp2040-pico").unwrap()[0];
         assert_eq!((&pico.package[..], &pico.target[..]), ("image-rp2040-pico", "thumbv6m-none-eabi"));
         assert_eq!(pico.load, Load::Uf2 { chip: "RP2040".to_owned() });

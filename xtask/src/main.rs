@@ -1,11 +1,13 @@
 //! `cargo xtask`: the only build driver. What a person, a hook or CI runs goes through here.
 //!
 //! This file is the command line and nothing else: [`stages`] has the commands, [`setup`] what a machine needs,
-//! [`toolchain`] which compiler builds for a chip, [`images`] what is built, [`size`] what it takes, [`report`] what `test` closes with, [`tally`]
+//! [`toolchain`] which compiler builds for a chip, [`images`] what is built, [`size`] what it takes, [`flash`] how it comes onto a board, [`hil`] how emulators run it, [`report`] what `test` closes with, [`tally`]
 //! how tests are counted, [`run`] how programs are started, and [`picture`] how the demonstration is drawn.
 #![forbid(unsafe_code)]
 
 mod elf;
+mod flash;
+mod hil;
 mod images;
 mod picture;
 mod report;
@@ -16,6 +18,7 @@ mod stages;
 mod system;
 mod tally;
 mod toolchain;
+mod uf2;
 
 use std::process::ExitCode;
 
@@ -62,6 +65,23 @@ enum Command {
     },
     /// Check the rules of the repository: dependencies, clauses, sizes, words
     Tidy,
+    /// Put an image onto the board that is attached, or say what is missing for it
+    Flash {
+        /// Folder of the image below rtic-firmware/
+        image: String,
+        /// Go through this debug probe, `VID:PID` or `VID:PID:SERIAL`
+        #[arg(long, value_name = "SELECTOR")]
+        probe: Option<String>,
+        /// Copy to this folder, where the boot ROM's drive is mounted
+        #[arg(long, value_name = "PATH", conflicts_with = "probe")]
+        drive: Option<std::path::PathBuf>,
+    },
+    /// Run the images in emulators: what is needed is installed and built, the harness does the rest
+    Hil {
+        /// What to run, and what else the harness takes; without a name it tells what there is
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
+    },
     /// Feed random and mutated packets to the parsers and the node
     Fuzz {
         /// How many inputs
@@ -124,8 +144,10 @@ fn main() -> ExitCode {
         Command::Lint => stages::lint(),
         Command::Nostd => stages::nostd(),
         Command::Build { image, features } => images::build(&image, &features.into()),
+        Command::Flash { image, probe, drive } => flash::flash(&image, &flash::Wanted { probe, drive }),
         Command::Size { image, json } => size::size(&image, json),
         Command::Tidy => stages::tidy(),
+        Command::Hil { arguments } => hil::hil(&arguments),
         Command::Fuzz { inputs, seed, target } => {
             let target = target.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
             stages::fuzz(inputs, seed, &target)

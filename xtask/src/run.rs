@@ -62,6 +62,14 @@ pub(crate) enum Error {
         /// What is wrong with it.
         source: crate::elf::ElfError,
     },
+    /// An image cannot become a UF2 file.
+    #[error("{}: {source}", path.display())]
+    Uf2 {
+        /// The ELF.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: crate::uf2::Uf2Error,
+    },
     /// This could not be done here. Not a failure of what was to be checked, and never to be taken for a success.
     #[error("NOT RUN: {what}: {why}")]
     NotRunHere {

@@ -8,8 +8,8 @@ use crate::picture;
 use crate::report::{Outcome, Report};
 use crate::run::{Error, Program, root, write};
 use crate::setup::{self, Setup, TARGETS};
-use crate::tally::{Counts, Tally};
-use crate::{size, toolchain};
+use crate::tally::{Counts, Runner, Tally};
+use crate::{hil, size, toolchain};
 
 /// Crates that run on a device, built for each bare-metal target.
 const CORES: &str = "-p fixed-math -p osap-protocol -p osap-runtime -p firmware-app";
@@ -28,7 +28,7 @@ pub(crate) fn test() -> ExitCode {
     report.add("setup", Outcome::Ok, started.elapsed(), Counts::default());
     stage(&mut report, &setup, "format", || fmt(true));
     stage(&mut report, &setup, "lint", lint_host);
-    test_workspace(&mut report);
+    counted_stage(&mut report, &setup, "test, with tidy and doc tests", Runner::Cargo, || Ok(host_tests()));
     if let Some(why) = setup.why_not(setup::DISSECTOR) {
         report.add(setup::DISSECTOR, Outcome::NotRun(why.to_owned()), Duration::ZERO, Counts::default());
     }
@@ -98,14 +98,11 @@ pub(crate) fn docs() -> Result<(), Error> {
 }
 
 /// Unit, integration and doc tests of every crate that builds on a host; `tidy` is one of them.
-fn test_workspace(report: &mut Report) {
-    let started = Instant::now();
-    let mut tally = Tally::default();
-    let result = Program::cargo("test --no-fail-fast").run_watched(|piece| tally.feed(piece));
-    report.add("test, with tidy and doc tests", outcome(result), started.elapsed(), tally.finish());
+fn host_tests() -> Program {
+    Program::cargo("test --no-fail-fast")
 }
 
-/// Builds and lints each image that the workspace lists.
+/// Builds, lints and measures each image that the workspace lists, and runs those that can be in emulators.
 fn image_stages(report: &mut Report, setup: &Setup) {
     let images = match Images::read() {
         Ok(images) => images,
@@ -119,6 +116,30 @@ fn image_stages(report: &mut Report, setup: &Setup) {
         stage(report, setup, &format!("lint of image {name}"), || image.lint());
         stage(report, setup, &format!("size of image {name}"), || size::size(name, false));
     }
+    counted_stage(report, setup, setup::RP2040_TESTS, Runner::Node, hil::rp2040_tests);
+    if images.has_member(hil::HARNESS) {
+        counted_stage(report, setup, setup::HIL, Runner::Own, || {
+            hil::ready(&images)?;
+            Ok(hil::harness(&["all".to_owned()]))
+        });
+    }
+}
+
+/// Runs a stage that prints how many tests passed, unless what it needs is missing.
+fn counted_stage(
+    report: &mut Report,
+    setup: &Setup,
+    name: &str,
+    runner: Runner,
+    program: impl FnOnce() -> Result<Program, Error>,
+) {
+    let started = Instant::now();
+    let mut tally = Tally::of(runner);
+    let outcome = match setup.why_not(name) {
+        Some(why) => Outcome::NotRun(why.to_owned()),
+        None => outcome(program().and_then(|program| program.run_watched(|piece| tally.feed(piece)))),
+    };
+    report.add(name, outcome, started.elapsed(), tally.finish());
 }
 
 fn documentation() -> Result<(), Error> {

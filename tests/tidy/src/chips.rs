@@ -61,11 +61,13 @@ fn note_unsafe(tokens: TokenStream, lines: &mut Vec<usize>) {
 
 fn has_reason(file: &File, line: usize) -> bool {
     let says = |text: &str| text.split_once("//").is_some_and(|(_, comment)| comment.contains(REASON));
+    let begins_with_it =
+        file.text.lines().nth(line).is_some_and(|below| below.trim_start().starts_with("//") && says(below));
     let lines: Vec<&str> = file.text.lines().take(line).collect();
     let Some((own, above)) = lines.split_last() else { return false };
     let near = above.iter().rev().take(REASON_WITHIN_LINES);
     let joined = above.iter().rev().take_while(|text| text.trim_start().starts_with(['/', '#']));
-    says(own) || near.chain(joined).any(|text| says(text))
+    says(own) || begins_with_it || near.chain(joined).any(|text| says(text))
 }
 
 /// The `main.rs` of every image opens with the table of its tasks.
@@ -128,6 +130,8 @@ mod tests {
         assert_eq!(lines("unsafe impl Sync for A {} // SAFETY: nobody else has it\n"), [0; 0]);
         assert_eq!(lines("// SAFETY: so\n\n\nunsafe impl Sync for A {}\n"), [0; 0]);
         assert_eq!(lines("// SAFETY: so\n\n\n\nunsafe impl Sync for A {}\n"), [5]);
+        assert_eq!(lines("fn a() { unsafe {\n    // SAFETY: so\n    b() } }\n"), [0; 0]);
+        assert_eq!(lines("fn a() { unsafe {\n    b() } }\n// SAFETY: so\n"), [1]);
         let long = "// SAFETY: so\n// and\n// so\n// and\n#[cfg(x)]\nunsafe impl Sync for A {}\n";
         assert_eq!(lines(long), [0; 0]);
     }
