@@ -74,6 +74,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
     }
 
     /// The node for the routing task and the services for the task below it.
+    #[must_use]
     pub fn into_parts(self) -> (Node<SLOTS, BYTES, GATEWAYS, PORTS>, Services<BYTES, MESSAGE_BYTES>) {
         (self.node, self.services)
     }

@@ -14,6 +14,7 @@ pub mod kind;
 pub mod link;
 pub mod lock;
 pub mod report;
+pub mod routing;
 pub mod services;
 pub mod settings;
 pub mod spin;

@@ -82,8 +82,9 @@ impl<F: NorFlash> Settings<F> {
         if settings.read().is_err() {
             embassy_futures::block_on(settings.map.erase_all()).map_err(|_| SettingsError::Flash)?;
         }
-        settings.boots = settings.boots.wrapping_add(1);
-        settings.store(KEY_BOOTS, settings.boots)?;
+        let boots = settings.boots.wrapping_add(1);
+        settings.boots = boots;
+        settings.store(KEY_BOOTS, &boots)?;
         Ok(settings)
     }
 
@@ -127,12 +128,12 @@ impl<F: NorFlash> Settings<F> {
     /// [`SettingsError::Flash`].
     pub fn set_kind(&mut self, kind: u8) -> Result<(), SettingsError> {
         self.kind = Some(kind);
-        self.store(KEY_KIND, kind)
+        self.store(KEY_KIND, &kind)
     }
 
-    fn store<'v, V: sequential_storage::map::Value<'v>>(&mut self, key: u8, value: V) -> Result<(), SettingsError> {
+    fn store<'v, V: sequential_storage::map::Value<'v>>(&mut self, key: u8, value: &V) -> Result<(), SettingsError> {
         let mut buffer = [0; ITEM_BYTES];
-        embassy_futures::block_on(self.map.store_item(&mut buffer, &key, &value)).map_err(|_| SettingsError::Flash)
+        embassy_futures::block_on(self.map.store_item(&mut buffer, &key, value)).map_err(|_| SettingsError::Flash)
     }
 
     fn read(&mut self) -> Result<(), SettingsError> {
