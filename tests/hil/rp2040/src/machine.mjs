@@ -50,7 +50,8 @@ export class Machine {
     this.core = rp.core;
     rp.logger = this.#logger();
     Object.assign(rp, { sram: parts.sram, sramView: new DataView(parts.sram.buffer) });
-    this.bus = { xip: true, flash: parts.flash.array, onError: (/** @type {string} */ d) => this.#busError(d) };
+    /** @type {import('./bus.mjs').BusState} */
+    this.bus = { xip: true, flash: parts.flash.array, onError: (detail, isFetch) => this.#busError(detail, isFetch) };
     installBus(rp, this.bus);
     this.dma = new Dma(rp);
     Object.assign(rp, { dma: this.dma });
