@@ -74,6 +74,10 @@ const COMMANDS = {
     world.addUsb(field(command, 'name', 'string'), field(command, 'chip', 'string'));
     return OK;
   },
+  tap(world, command) {
+    world.tap(field(command, 'wire', 'string'));
+    return OK;
+  },
   send(world, command) {
     const atNs = command.at_ns === undefined ? undefined : field(command, 'at_ns', 'number');
     return world.send(field(command, 'port', 'string'), hex(command, 'bytes'), atNs);

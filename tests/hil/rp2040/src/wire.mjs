@@ -18,6 +18,27 @@ export function generator(seed) {
   };
 }
 
+/** Gathers received bytes into frames that end with a zero byte. */
+export class Delimiter {
+  /** @param {string} port */
+  constructor(port) {
+    this.port = port;
+    /** @type {number[]} */
+    this.bytes = [];
+    this.startNs = 0;
+  }
+
+  /** @param {number} byte @param {number} startNs @param {number} endNs @returns {PortEvent | null} */
+  push(byte, startNs, endNs) {
+    if (this.bytes.length === 0) this.startNs = startNs;
+    this.bytes.push(byte);
+    if (byte !== 0) return null;
+    const event = { port: this.port, bytes: Buffer.from(this.bytes).toString('hex'), start_ns: this.startNs, end_ns: endNs };
+    this.bytes = [];
+    return event;
+  }
+}
+
 /** Carries frames one way: from `frame` to `arrive`, a delay later, unless it is cut or the frame is lost. */
 export class Line {
   /**
@@ -34,6 +55,18 @@ export class Line {
     this.bytes = 0;
     this.errors = 0;
     this.lost = 0;
+    /** @type {Delimiter | null} gathers what passes, once somebody wants to see it */
+    this.tap = null;
+    /** @type {PortEvent[]} */
+    this.tapped = [];
+  }
+
+  /** Notes what arrives, where the line is tapped. @param {Frame} frame */
+  observe(frame) {
+    if (!this.tap) return;
+    const startNs = frame.startNs + this.delayNs;
+    const event = this.tap.push(frame.data & 0xff, startNs, startNs + frame.bits * frame.bitNs);
+    if (event) this.tapped.push(event);
   }
 
   /** A frame begins at its start, global. @param {Frame} _frame */
@@ -101,29 +134,11 @@ export class LineToChip extends Line {
   #arrive() {
     const next = this.queue.shift();
     const frame = next && this.pass(next.frame);
-    if (frame) this.chip.uarts[this.uart].receive(frame);
+    if (frame) {
+      this.observe(frame);
+      this.chip.uarts[this.uart].receive(frame);
+    }
     this.#arm();
-  }
-}
-
-/** Gathers received bytes into frames that end with a zero byte. */
-export class Delimiter {
-  /** @param {string} port */
-  constructor(port) {
-    this.port = port;
-    /** @type {number[]} */
-    this.bytes = [];
-    this.startNs = 0;
-  }
-
-  /** @param {number} byte @param {number} startNs @param {number} endNs @returns {PortEvent | null} */
-  push(byte, startNs, endNs) {
-    if (this.bytes.length === 0) this.startNs = startNs;
-    this.bytes.push(byte);
-    if (byte !== 0) return null;
-    const event = { port: this.port, bytes: Buffer.from(this.bytes).toString('hex'), start_ns: this.startNs, end_ns: endNs };
-    this.bytes = [];
-    return event;
   }
 }
 
@@ -235,6 +250,16 @@ export class Wire {
     this.lines = [new LineToChip(...b, delayNs, faults, 0), new LineToChip(...a, delayNs, faults, 1)];
     connect(...a, this.lines[0]);
     connect(...b, this.lines[1]);
+  }
+
+  /** From now on what passes is told: frames up to their delimiters, as from ports called `name:ab` and `name:ba`. */
+  tap() {
+    for (const [n, line] of this.lines.entries()) line.tap ??= new Delimiter(`${this.name}:${n === 0 ? 'ab' : 'ba'}`);
+  }
+
+  /** What passed since the last call. @returns {PortEvent[]} */
+  tapped() {
+    return this.lines.flatMap((line) => line.tapped.splice(0));
   }
 
   /** @param {boolean} isCut */

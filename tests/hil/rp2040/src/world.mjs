@@ -97,6 +97,13 @@ export class World {
     line.cut = isCut;
   }
 
+  /** @param {string} name */
+  tap(name) {
+    const wire = this.wires.get(name);
+    if (!wire) throw new Error(`no wire "${name}"; there are: ${[...this.wires.keys()].join(', ') || 'none'}`);
+    wire.tap();
+  }
+
   /** @returns {number} the longest quantum that is safe at the rates now set */
   get quantumNs() {
     let quantum = QUANTUM_NS;
@@ -118,7 +125,7 @@ export class World {
 
   /**
    * @param {number} untilNs
-   * @param {boolean} stop at the end of a quantum in which something was received outside or happened to a chip
+   * @param {boolean} stop at the end of a quantum in which something was received outside or happened to a chip; what taps see stops nothing
    */
   run(untilNs, stop) {
     while (this.nowNs < untilNs) {
@@ -129,6 +136,7 @@ export class World {
       this.nowNs = next;
       if (stop && this.events.length > 0) break;
     }
+    for (const wire of this.wires.values()) this.events.push(...wire.tapped());
     return { now_ns: this.nowNs, events: this.events.splice(0) };
   }
 
