@@ -108,9 +108,10 @@ impl WakeInterrupt {
 
 /// Ticks from `now` until not before `at`, from 1 to a second's.
 fn wake_ticks(at: LocalTicks, now: LocalTicks) -> u32 {
-    let second_steps = 1_000_000 * STEPS_A_US;
-    let steps = u32::try_from(at.since(now).steps()).map_or(second_steps, |steps| steps.min(second_steps));
-    (u64::from(steps) * u64::from(TICKS_A_US)).div_ceil(u64::from(STEPS_A_US)).max(1) as u32
+    let second = TICKS_A_US * 1_000_000;
+    let steps = at.since(now).steps().min(u64::from(STEPS_A_US) * 1_000_000);
+    let ticks = (steps * u64::from(TICKS_A_US)).div_ceil(u64::from(STEPS_A_US));
+    u32::try_from(ticks).map_or(second, |ticks| ticks.max(1))
 }
 
 #[cfg(test)]

@@ -83,7 +83,9 @@ impl Latency {
     #[must_use]
     pub fn start(self) -> Self {
         let Record { mark, samples, wait_max, turn_ticks_max, turn } = self.record;
-        [samples, wait_max, turn_ticks_max].into_iter().chain(turn).for_each(|word| word.store(0, Ordering::Relaxed));
+        for word in [samples, wait_max, turn_ticks_max].into_iter().chain(turn) {
+            word.store(0, Ordering::Relaxed);
+        }
         mark.store(RECORD_MARK, Ordering::Relaxed);
         self.timer.load.set(PERIOD_TICKS - 1);
         self.timer.control.set(ON);
@@ -112,15 +114,17 @@ pub struct Turns(&'static Record);
 impl Turns {
     /// Runs one turn, and keeps what happened in it where it is the longest so far.
     pub fn count<R>(&mut self, turn: impl FnOnce() -> R) -> R {
-        TURN.iter().for_each(|word| word.store(0, Ordering::Relaxed));
+        for word in &TURN {
+            word.store(0, Ordering::Relaxed);
+        }
         let began = now();
         let result = turn();
         let ticks = u32::try_from(now().since(began).steps() * 25 / 256).unwrap_or(u32::MAX);
         if ticks > self.0.turn_ticks_max.load(Ordering::Relaxed) {
             self.0.turn_ticks_max.store(ticks, Ordering::Relaxed);
-            TURN.iter()
-                .zip(&self.0.turn)
-                .for_each(|(from, to)| to.store(from.load(Ordering::Relaxed), Ordering::Relaxed));
+            for (from, to) in TURN.iter().zip(&self.0.turn) {
+                to.store(from.load(Ordering::Relaxed), Ordering::Relaxed);
+            }
         }
         result
     }

@@ -20,7 +20,8 @@ pub mod watchdog;
 
 use kept::{Factory, Kept, Region};
 use latency::Latency;
-use uart::{UART_COUNT, UartBuffers, UartParts};
+use pac::Interrupt;
+use uart::{UART_COUNT, UartBuffers};
 use watchdog::Watchdog;
 
 pub use clock::{Wake, now};
@@ -53,11 +54,14 @@ impl Board {
     /// Starts the clock and the UARTs. `region` is this board's [`REGION`], `buffers` memory for the UARTs.
     pub fn new(device: pac::Peripherals, region: Region, buffers: &'static mut [UartBuffers; UART_COUNT]) -> Self {
         clock::start(device.timer0);
-        let mut parts = device.uarts.into_iter().zip(buffers).zip(uart::TX_INTERRUPTS);
-        let [u0, u1, u2, u3, u4]: [UartParts; UART_COUNT] = core::array::from_fn(|_| {
-            let ((registers, buffers), interrupt) = parts.next().expect("as many UARTs as interrupts and buffers");
-            uart::start(registers, interrupt, buffers)
-        });
+        let ([r0, r1, r2, r3, r4], [b0, b1, b2, b3, b4]) = (device.uarts, buffers);
+        let [u0, u1, u2, u3, u4] = [
+            uart::start(r0, Interrupt::UART0TX, b0),
+            uart::start(r1, Interrupt::UART1TX, b1),
+            uart::start(r2, Interrupt::UART2TX, b2),
+            uart::start(r3, Interrupt::UART3TX, b3),
+            uart::start(r4, Interrupt::UART4TX, b4),
+        ];
         Self {
             wires: [u0.wire, u1.wire, u2.wire, u3.wire, u4.wire],
             rx: [u0.rx, u1.rx, u2.rx, u3.rx, u4.rx],

@@ -41,10 +41,6 @@ const RING_BYTES: usize = 512;
 /// Frames a receive ring holds, and one.
 const RING_FRAMES: usize = 16;
 
-/// The interrupts that [`Uart::send`] pends.
-pub(crate) const TX_INTERRUPTS: [Interrupt; UART_COUNT] =
-    [Interrupt::UART0TX, Interrupt::UART1TX, Interrupt::UART2TX, Interrupt::UART3TX, Interrupt::UART4TX];
-
 const TX: u32 = 1;
 const RX: u32 = 1 << 1;
 /// Control: both directions and both interrupts.
@@ -90,7 +86,7 @@ pub struct UartParts {
 /// Turns a UART on.
 pub(crate) fn start(
     registers: Registers<UartRegisters>,
-    tx_interrupt: Interrupt,
+    interrupt: Interrupt,
     buffers: &'static mut UartBuffers,
 ) -> UartParts {
     registers.divider.set(DIVIDER);
@@ -98,12 +94,12 @@ pub(crate) fn start(
     // SAFETY: the receive half reads the data register, the transmit half writes it; each clears its own interrupt alone.
     let rx_registers = unsafe { registers.share() };
     let (capture, ring) = buffers.ring.split();
-    let (to_interrupt, from_task) = buffers.outgoing.split();
-    let (to_task, from_interrupt) = buffers.returned.split();
+    let (outgoing_in, outgoing_out) = buffers.outgoing.split();
+    let (returned_in, returned_out) = buffers.returned.split();
     UartParts {
-        wire: Uart { ring, room: Some(&mut buffers.frame), to_interrupt, from_interrupt, tx_interrupt },
+        wire: Uart { ring, room: Some(&mut buffers.frame), outgoing: outgoing_in, returned: returned_out, interrupt },
         rx: UartRx { registers: rx_registers, capture },
-        tx: UartTx { registers, sending: None, sent: 0, from_task, to_task },
+        tx: UartTx { registers, sending: None, sent: 0, outgoing: outgoing_out, returned: returned_in },
     }
 }
 
@@ -112,9 +108,10 @@ pub struct Uart {
     ring: HandOver<'static>,
     /// The frame's buffer, where it is not with the interrupt.
     room: Option<&'static mut Frame>,
-    to_interrupt: Producer<'static, Outgoing>,
-    from_interrupt: Consumer<'static, &'static mut Frame>,
-    tx_interrupt: Interrupt,
+    outgoing: Producer<'static, Outgoing>,
+    returned: Consumer<'static, &'static mut Frame>,
+    /// The transmit interrupt.
+    interrupt: Interrupt,
 }
 
 impl Wire for Uart {
@@ -128,7 +125,7 @@ impl Wire for Uart {
 
     fn clear_at(&mut self, now: LocalTicks) -> Option<LocalTicks> {
         if self.room.is_none() {
-            self.room = self.from_interrupt.dequeue();
+            self.room = self.returned.dequeue();
         }
         self.room.is_some().then_some(now)
     }
@@ -140,8 +137,8 @@ impl Wire for Uart {
     fn send(&mut self, len: usize, _at: LocalTicks) {
         let Some(frame) = self.room.take() else { return };
         // there is one buffer, so a queue of one always has room for it
-        let _fits = self.to_interrupt.enqueue((frame, len.min(FRAME_BYTES)));
-        NVIC::pend(self.tx_interrupt);
+        let _fits = self.outgoing.enqueue((frame, len.min(FRAME_BYTES)));
+        NVIC::pend(self.interrupt);
     }
 }
 
@@ -174,8 +171,8 @@ pub struct UartTx {
     sending: Option<Outgoing>,
     /// Bytes of it that were given to the UART.
     sent: usize,
-    from_task: Consumer<'static, Outgoing>,
-    to_task: Producer<'static, &'static mut Frame>,
+    outgoing: Consumer<'static, Outgoing>,
+    returned: Producer<'static, &'static mut Frame>,
 }
 
 impl UartTx {
@@ -186,7 +183,7 @@ impl UartTx {
             return false; // it comes again once the byte has left
         }
         if self.sending.is_none() {
-            self.sending = self.from_task.dequeue();
+            self.sending = self.outgoing.dequeue();
             self.sent = 0;
         }
         let Some((frame, len)) = &mut self.sending else { return false };
@@ -199,7 +196,7 @@ impl UartTx {
         }
         if let Some((frame, _)) = self.sending.take() {
             // the task gave the one there is, so there is room to give it back
-            let _fits = self.to_task.enqueue(frame);
+            let _fits = self.returned.enqueue(frame);
         }
         #[cfg(feature = "probe")]
         count(Count::FramesOut);

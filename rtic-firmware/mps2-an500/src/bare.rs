@@ -4,9 +4,14 @@
 //! - **Invariant:** the interrupts are those of the whole image.
 //! - **Context:** as the whole image's, with `echo` in place of `route`.
 
+use board_mps2_an500::pac::Interrupt;
+
+/// What `echo` is bound to: a port's interrupt that nothing else uses.
+const ECHO: Interrupt = Interrupt::PORT0;
+
 #[rtic::app(device = board_mps2_an500::pac, peripherals = true)]
 mod app {
-    use board_mps2_an500::pac::Interrupt::PORT0;
+    use super::ECHO;
     use board_mps2_an500::uart::{UART_COUNT, UartBuffers};
     use board_mps2_an500::{Board, REGION, Uart, UartRx, UartTx, now};
     use firmware_app::Wire;
@@ -62,51 +67,51 @@ mod app {
 
     #[task(binds = UART0RX, priority = 3, local = [rx0])]
     fn link0_rx(cx: link0_rx::Context) {
-        cx.local.rx0.on_interrupt().then(|| pend(PORT0));
+        cx.local.rx0.on_interrupt().then(|| pend(ECHO));
     }
 
     #[task(binds = UART0TX, priority = 3, local = [tx0])]
     fn link0_tx(cx: link0_tx::Context) {
-        cx.local.tx0.on_interrupt().then(|| pend(PORT0));
+        cx.local.tx0.on_interrupt().then(|| pend(ECHO));
     }
 
     #[task(binds = UART1RX, priority = 3, local = [rx1])]
     fn link1_rx(cx: link1_rx::Context) {
-        cx.local.rx1.on_interrupt().then(|| pend(PORT0));
+        cx.local.rx1.on_interrupt().then(|| pend(ECHO));
     }
 
     #[task(binds = UART1TX, priority = 3, local = [tx1])]
     fn link1_tx(cx: link1_tx::Context) {
-        cx.local.tx1.on_interrupt().then(|| pend(PORT0));
+        cx.local.tx1.on_interrupt().then(|| pend(ECHO));
     }
 
     #[task(binds = UART2RX, priority = 3, local = [rx2])]
     fn link2_rx(cx: link2_rx::Context) {
-        cx.local.rx2.on_interrupt().then(|| pend(PORT0));
+        cx.local.rx2.on_interrupt().then(|| pend(ECHO));
     }
 
     #[task(binds = UART2TX, priority = 3, local = [tx2])]
     fn link2_tx(cx: link2_tx::Context) {
-        cx.local.tx2.on_interrupt().then(|| pend(PORT0));
+        cx.local.tx2.on_interrupt().then(|| pend(ECHO));
     }
 
     #[task(binds = UART3RX, priority = 3, local = [rx3])]
     fn link3_rx(cx: link3_rx::Context) {
-        cx.local.rx3.on_interrupt().then(|| pend(PORT0));
+        cx.local.rx3.on_interrupt().then(|| pend(ECHO));
     }
 
     #[task(binds = UART3TX, priority = 3, local = [tx3])]
     fn link3_tx(cx: link3_tx::Context) {
-        cx.local.tx3.on_interrupt().then(|| pend(PORT0));
+        cx.local.tx3.on_interrupt().then(|| pend(ECHO));
     }
 
     #[task(binds = UART4RX, priority = 3, local = [rx4])]
     fn link4_rx(cx: link4_rx::Context) {
-        cx.local.rx4.on_interrupt().then(|| pend(PORT0));
+        cx.local.rx4.on_interrupt().then(|| pend(ECHO));
     }
 
     #[task(binds = UART4TX, priority = 3, local = [tx4])]
     fn link4_tx(cx: link4_tx::Context) {
-        cx.local.tx4.on_interrupt().then(|| pend(PORT0));
+        cx.local.tx4.on_interrupt().then(|| pend(ECHO));
     }
 }

@@ -4,6 +4,8 @@
 //! - **Context:** start-up, but for [`KeptSettings::keep`] in idle, [`RunningWatchdog::feed`] in routing and [`Turns::count`] in serving.
 //! - **Clauses:** `[DSC-05]`, `[DSC-06]`.
 
+#![allow(clippy::unused_self, reason = "what stands in for a feature has the same shape")]
+
 pub(crate) use probe::{Probe, Turns, start as start_probe};
 pub(crate) use report::past_reports;
 pub(crate) use settings::KeptSettings;
