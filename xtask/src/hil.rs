@@ -50,7 +50,7 @@ fn npm(command: &str) -> Program {
 }
 
 /// Installs the packages that the lock file names, unless they are those of the last time.
-fn install_packages() -> Result<(), Error> {
+pub(crate) fn install_packages() -> Result<(), Error> {
     let (folder, stamp) = (root().join(RP2040), root().join("target/npm").join(RP2040).join("package-lock.json"));
     let path = folder.join("package-lock.json");
     let lock = fs::read_to_string(&path).map_err(|source| Error::File { what: "read", path, source })?;
@@ -58,7 +58,7 @@ fn install_packages() -> Result<(), Error> {
         return Ok(());
     }
     npm("ci").args(["--include=dev", "--no-audit", "--no-fund"]).run().map_err(|error| Error::NotRunHere {
-        what: format!("installing the packages of {RP2040}"),
+        what: format!("the packages of {RP2040}"),
         why: format!("{error}; can this machine reach npm's registry, and does package-lock.json fit package.json?"),
     })?;
     write(&stamp, &lock)

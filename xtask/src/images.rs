@@ -242,10 +242,14 @@ impl Image {
         Ok(Self { name, package: package.name, target, load, features: package.features })
     }
 
-    /// Clippy on this image alone, warnings denied.
+    /// Clippy on this image with what it uses of ours, as it is and bare, warnings denied.
     pub(crate) fn lint(&self) -> Result<(), Error> {
-        let cargo = self.toolchain()?.cargo("clippy --profile image");
-        cargo.args(["--package", &self.package, "--target", &self.target, "--", "-D", "warnings"]).run()
+        for features in [Features::default(), Features::only(&[])] {
+            let cargo = self.toolchain()?.cargo("clippy --profile image");
+            let cargo = cargo.args(["--package", &self.package, "--target", &self.target]).args(features.arguments());
+            cargo.args(["--", "-D", "warnings"]).run()?;
+        }
+        Ok(())
     }
 
     fn toolchain(&self) -> Result<Toolchain, Error> {

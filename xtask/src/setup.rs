@@ -3,7 +3,7 @@
 //! Whatever cannot be had is reported as `NOT RUN` with the reason and the way out, by the stage that misses it.
 
 use crate::run::{Error, Program};
-use crate::{system, toolchain};
+use crate::{hil, system, toolchain};
 
 /// Targets that the cores are built for: Cortex-M0+ and Cortex-M4F/M7.
 pub(crate) const TARGETS: [&str; 2] = ["thumbv6m-none-eabi", "thumbv7em-none-eabihf"];
@@ -92,6 +92,14 @@ pub(crate) fn run() -> Setup {
         }
     }
     provide(&mut setup, |_| true);
+    // Tests of the harness talk to the emulated RP2040, so that its packages have to be there before any test runs.
+    if setup.why_not(RP2040_TESTS).is_none()
+        && let Err(error) = hil::install_packages()
+    {
+        for stage in [HIL, RP2040_TESTS] {
+            setup.add(stage.to_owned(), error.to_string());
+        }
+    }
     setup
 }
 

@@ -28,6 +28,9 @@ pub(crate) fn test() -> ExitCode {
     report.add("setup", Outcome::Ok, started.elapsed(), Counts::default());
     stage(&mut report, &setup, "format", || fmt(true));
     stage(&mut report, &setup, "lint", lint_host);
+    // Before the tests: those of the harness look at what was built.
+    let images = Images::read();
+    image_stages(&mut report, &setup, images.as_ref());
     counted_stage(&mut report, &setup, "test, with tidy and doc tests", Runner::Cargo, || Ok(host_tests()));
     if let Some(why) = setup.why_not(setup::DISSECTOR) {
         report.add(setup::DISSECTOR, Outcome::NotRun(why.to_owned()), Duration::ZERO, Counts::default());
@@ -36,7 +39,7 @@ pub(crate) fn test() -> ExitCode {
     for target in TARGETS {
         stage(&mut report, &setup, &setup::build_stage(target), || build_cores(target));
     }
-    image_stages(&mut report, &setup);
+    emulator_stages(&mut report, &setup, images.as_ref());
     stage(&mut report, &setup, "fuzz, short", || Program::cargo(FUZZ).run());
     stage(&mut report, &setup, "picture in the README", || picture::demo(true));
     println!("\n{}", report.render());
@@ -102,9 +105,9 @@ fn host_tests() -> Program {
     Program::cargo("test --no-fail-fast")
 }
 
-/// Builds, lints and measures each image that the workspace lists, and runs those that can be in emulators.
-fn image_stages(report: &mut Report, setup: &Setup) {
-    let images = match Images::read() {
+/// Builds, lints and measures each image that the workspace lists.
+fn image_stages(report: &mut Report, setup: &Setup, images: Result<&Images, &Error>) {
+    let images = match images {
         Ok(images) => images,
         Err(error) => {
             return report.add("images", Outcome::Failed(error.to_string()), Duration::ZERO, Counts::default());
@@ -116,10 +119,14 @@ fn image_stages(report: &mut Report, setup: &Setup) {
         stage(report, setup, &format!("lint of image {name}"), || image.lint());
         stage(report, setup, &format!("size of image {name}"), || size::size(name, false));
     }
+}
+
+/// Tests the emulated RP2040, and runs the images in emulators.
+fn emulator_stages(report: &mut Report, setup: &Setup, images: Result<&Images, &Error>) {
     counted_stage(report, setup, setup::RP2040_TESTS, Runner::Node, hil::rp2040_tests);
-    if images.has_member(hil::HARNESS) {
+    if let Some(images) = images.ok().filter(|images| images.has_member(hil::HARNESS)) {
         counted_stage(report, setup, setup::HIL, Runner::Own, || {
-            hil::ready(&images)?;
+            hil::ready(images)?;
             Ok(hil::harness(&["all".to_owned()]))
         });
     }
