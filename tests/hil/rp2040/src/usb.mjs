@@ -19,8 +19,13 @@ export class UsbPort {
     this.outgoing = [];
     /** @type {import('./wire.mjs').PortEvent[]} */
     this.events = [];
-    /** Bytes that the device is ready to take; 0: none, it answers NAK. */
-    this.ready = 0;
+    /**
+     * Bytes that each endpoint of the device is ready to take; without an entry it answers NAK. The device arms its
+     * buffers before the host knows which one is the serial port's.
+     * @type {Map<number, number>}
+     */
+    this.ready = new Map();
+    this.isConnected = false;
     /** The bulk endpoint towards the device, private in the package; -1 before the device is known. */
     this.outEndpoint = () => -1;
     chip.onBoot.push(() => this.#attach());
@@ -36,22 +41,28 @@ export class UsbPort {
     const usb = this.chip.rp.usbCtrl;
     const cdc = new USBCDC(usb);
     this.outEndpoint = () => /** @type {any} */ (cdc).outEndpoint;
-    this.ready = 0;
+    this.ready = new Map();
+    this.isConnected = false;
     this.outgoing = [];
+    cdc.onDeviceConnected = () => {
+      this.isConnected = true;
+      this.#feed();
+    };
     cdc.onSerialData = (data) => this.#received(data);
     // The package answers each buffer at once, with an empty packet if need be, for ever; a real host sends nothing.
     usb.onEndpointRead = (endpoint, size) => {
-      if (endpoint !== this.outEndpoint()) return;
-      this.ready = size;
+      this.ready.set(endpoint, size);
       this.#feed();
     };
   }
 
   #feed() {
-    if (this.ready === 0 || this.outgoing.length === 0) return;
-    const packet = Uint8Array.from(this.outgoing.splice(0, Math.min(this.ready, BULK_BYTES)));
-    this.ready = 0;
-    this.chip.rp.usbCtrl.endpointReadDone(this.outEndpoint(), packet);
+    const endpoint = this.outEndpoint();
+    const size = this.ready.get(endpoint);
+    if (size === undefined || !this.isConnected || this.outgoing.length === 0) return;
+    const packet = Uint8Array.from(this.outgoing.splice(0, Math.min(size, BULK_BYTES)));
+    this.ready.delete(endpoint);
+    this.chip.rp.usbCtrl.endpointReadDone(endpoint, packet);
   }
 
   /** @param {Uint8Array} data */
