@@ -172,7 +172,7 @@ export class Chip {
   /** True: a reset is due. @param {number} end local time */
   #runLocal(end) {
     const { machine, profile } = this;
-    const { clock, core, exceptions } = machine;
+    const { clock, core, cpu, exceptions } = machine;
     let executed = 0;
     while (clock.nanos < end) {
       if (core.waiting) {
@@ -186,7 +186,7 @@ export class Chip {
           continue;
         }
       }
-      const cycles = core.executeInstruction() + exceptions.extraCycles;
+      const cycles = cpu.step() + exceptions.extraCycles;
       exceptions.extraCycles = 0;
       executed++;
       const next = clock.nanos + cycles * machine.cycleNs;

@@ -1,4 +1,4 @@
-// Mends of rp2040js 1.4.1's Cortex-M0+ core, applied to one instance: exceptions, NVIC, faults, carry into the sign.
+// Mends of rp2040js 1.4.1's Cortex-M0+ core, applied to one instance: exceptions, NVIC, faults.
 // References: ARMv6-M Architecture Reference Manual (DDI 0419), Cortex-M0+ TRM (DDI 0484), Cortex-M0+ Devices Generic
 // User Guide (DUI 0662), RP2040 datasheet. What the package does instead is said at each function.
 
@@ -61,9 +61,7 @@ export class Exceptions {
     core.setInterrupt = (irq, value) => this.setLine(irq, value);
     core.checkForInterrupts = () => this.takeException();
     core.exceptionReturn = (value) => this.returnFrom(value);
-    core.BXWritePC = (address) => this.branchExchange(address);
     watchPrimask(core, events.onMask);
-    mendCarry(core);
     this.mendControlSpace();
   }
 
@@ -192,21 +190,23 @@ export class Exceptions {
   }
 
   /**
-   * BX, and POP with the PC. A target with bit 0 clear leaves the Thumb state, which ARMv6-M does not have
-   * (ARMv6-M ARM A4.1.1: HardFault); POP with the PC takes 3 + N cycles (TRM table 3-1), the package's one less.
+   * BX, and POP with the PC: in a handler a target of 0xf....... is the exception return.
    * @param {number} address
    */
   branchExchange(address) {
-    const { core } = this;
-    const isPop = this.rp.readUint16(core.PC - 2) >> 8 === 0xbd;
-    if (isPop) this.extraCycles += 1;
     const target = address >>> 0;
-    if (core.IPSR !== 0 && target >>> 28 === 0xf) {
-      core.exceptionReturn(target & 0x0fffffff);
-      return;
-    }
-    if (!(target & 1)) this.raise(`branch to 0x${target.toString(16)} without the Thumb bit`, core.PC - 2);
-    core.PC = (target & ~1) >>> 0;
+    if (this.core.IPSR !== 0 && target >>> 28 === 0xf) this.core.exceptionReturn(target & 0x0fffffff);
+    else this.branchLink(target);
+  }
+
+  /**
+   * A target with bit 0 clear leaves the Thumb state, which ARMv6-M does not have (ARMv6-M ARM, BXWritePC and BLXWritePC).
+   * @param {number} address
+   */
+  branchLink(address) {
+    const { core } = this;
+    if (!(address & 1)) this.raise(`branch to 0x${(address >>> 0).toString(16)} without the Thumb bit`, core.PC - 2);
+    core.PC = (address & ~1) >>> 0;
   }
 
   /**
@@ -287,38 +287,4 @@ function watchPrimask(core, onMask) {
       onMask(value);
     },
   });
-}
-
-/**
- * V of ADCS and SBCS (ARMv6-M ARM A2.2.1 AddWithCarry). The package adds the carry to the second operand first, so that
- * 0x7fffffff and 0xffffffff with the carry change their sign before V is computed; a 64-bit compare with a limit like
- * `i64::MAX` then goes wrong. Only these two sums need a second look.
- * @param {Core} core
- */
-function mendCarry(core) {
-  const flags = /** @type {{ substractUpdateFlags: UpdateFlags, addUpdateFlags: UpdateFlags }} */ (
-    /** @type {unknown} */ (core)
-  );
-  const subtract = flags.substractUpdateFlags.bind(core);
-  const add = flags.addUpdateFlags.bind(core);
-  const isOpcode = (/** @type {number} */ opcode) => core.readUint16(core.PC - 2) >> 6 === opcode;
-  flags.substractUpdateFlags = (minuend, subtrahend) => {
-    const borrow = (subtrahend === 0x80000000 || subtrahend === 0x100000000) && isOpcode(0b0100000110) && !core.C;
-    const result = subtract(minuend, subtrahend);
-    if (borrow) core.V = overflows((minuend | 0) - ((subtrahend - 1) | 0) - 1);
-    return result;
-  };
-  flags.addUpdateFlags = (addend1, addend2) => {
-    const carry = (addend2 === 0x80000000 || addend2 === 0x100000000) && isOpcode(0b0100000101) && core.C;
-    const result = add(addend1, addend2);
-    if (carry) core.V = overflows((addend1 | 0) + ((addend2 - 1) | 0) + 1);
-    return result;
-  };
-}
-
-/** @typedef {(a: number, b: number) => number} UpdateFlags */
-
-/** @param {number} sum an exact sum of signed operands */
-function overflows(sum) {
-  return sum !== (sum | 0);
 }

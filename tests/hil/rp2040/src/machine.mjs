@@ -4,6 +4,7 @@ import { BootRom } from './bootrom.mjs';
 import { installBus, XIP } from './bus.mjs';
 import { VirtualClock } from './clock.mjs';
 import { Exceptions } from './core.mjs';
+import { Cpu } from './cpu.mjs';
 import { Dma } from './dma.mjs';
 import { mendResets, mendTimerAlarms, stopPio } from './mends.mjs';
 import { Pl011 } from './pl011.mjs';
@@ -57,6 +58,7 @@ export class Machine {
     Object.assign(rp, { dma: this.dma });
     rp.peripherals[DMA_PAGE] = this.dma;
     this.exceptions = new Exceptions(rp, parts.events);
+    this.cpu = new Cpu(rp.core, this.exceptions, this.bus, parts.sram);
     this.uarts = UARTS.map(({ irq, dreq }, i) => new Pl011(rp, `UART${i}`, irq, dreq, parts.counters[i]));
     UARTS.forEach(({ page }, i) => (rp.peripherals[page] = this.uarts[i]));
     this.ssi = new Ssi(rp, parts.flash, (on) => (this.bus.xip = on));
