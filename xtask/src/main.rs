@@ -62,6 +62,9 @@ enum Command {
         /// Print one JSON document
         #[arg(long)]
         json: bool,
+        /// Name this many of the largest functions, statics and constants of the image with all its features
+        #[arg(long, value_name = "COUNT", default_value_t = 0)]
+        largest: usize,
     },
     /// Check the rules of the repository: dependencies, clauses, sizes, words
     Tidy,
@@ -145,7 +148,7 @@ fn main() -> ExitCode {
         Command::Nostd => stages::nostd(),
         Command::Build { image, features } => images::build(&image, &features.into()),
         Command::Flash { image, probe, drive } => flash::flash(&image, &flash::Wanted { probe, drive }),
-        Command::Size { image, json } => size::size(&image, json),
+        Command::Size { image, json, largest } => size::size(&image, json, largest),
         Command::Tidy => stages::tidy(),
         Command::Hil { arguments } => hil::hil(&arguments),
         Command::Fuzz { inputs, seed, target } => {

@@ -2,7 +2,8 @@
 //!
 //! All figures are read from ELFs that were built for it. Flash is all that is kept there: vectors, code, constants, and what
 //! is copied to RAM at start. RAM is statics; the stack takes what is left and is not in it. Buffers, which are as large as
-//! somebody wants them, are told apart by their names: a static with `BUFFER` in its name, or a section with `.buffers`.
+//! somebody wants them, are told apart by their names: a static that is called a buffer, such as `RX_BUFFER` or RTIC's
+//! `rx_buffers`, or a section with `.buffers`.
 //! Code that is copied to RAM counts once, as code.
 
 use std::collections::BTreeSet;
@@ -12,7 +13,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use crate::elf::{Layout, Section};
+use crate::elf::{Layout, Section, Symbol};
 use crate::images::{Features, Image, ImageError, Images};
 use crate::run::Error;
 
@@ -25,8 +26,8 @@ const FLASH_GOAL_BYTES: u64 = 15_000;
 /// What statics may take at most, buffers left out.
 const RAM_GOAL_BYTES: u64 = 4_000;
 
-/// In the names of statics that are buffers.
-const BUFFER_NAME: &str = "BUFFER";
+/// In the names of statics that are buffers, in capitals or not: those of RTIC's resources keep the case of their fields.
+const BUFFER_NAME: &str = "buffer";
 
 /// In the names of sections that hold nothing but buffers.
 const BUFFER_SECTION: &str = ".buffers";
@@ -58,6 +59,15 @@ struct Buffer {
     name: String,
 }
 
+/// A function or static of the image with all its features.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+struct Largest {
+    bytes: u64,
+    /// `code`, `static` in RAM, or `constant` in flash.
+    kind: &'static str,
+    name: String,
+}
+
 /// One build of an image and what it takes.
 #[derive(Clone, Debug, Serialize)]
 struct Row {
@@ -76,6 +86,8 @@ struct Sized {
     /// Buffers of the image with all its features, largest first.
     buffers: Vec<Buffer>,
     goals: Vec<Goal>,
+    /// What takes most of the image with all its features: code first, then statics, then constants.
+    largest: Vec<Largest>,
 }
 
 /// A figure and what it should be at most.
@@ -93,10 +105,12 @@ struct Document<'a> {
     images: &'a [Sized],
 }
 
-/// `cargo xtask size`: builds every variant of the images that `name` means, and prints a table for each or one document.
-pub(crate) fn size(name: &str, is_json: bool) -> Result<(), Error> {
+/// `cargo xtask size`: builds every variant of the images that `name` means, and prints a table for each or one document, with
+/// the `largest_count` largest functions and as many statics and constants.
+pub(crate) fn size(name: &str, is_json: bool, largest_count: usize) -> Result<(), Error> {
     let images = Images::read()?;
-    let sized = images.named(name)?.into_iter().map(|image| measure(&images, image)).collect::<Result<Vec<_>, _>>()?;
+    let named = images.named(name)?.into_iter();
+    let sized = named.map(|image| measure(&images, image, largest_count)).collect::<Result<Vec<_>, _>>()?;
     if is_json {
         let document = serde_json::to_string_pretty(&Document { version: JSON_VERSION, images: &sized });
         println!("{}", document.map_err(ImageError::from)?);
@@ -108,16 +122,40 @@ pub(crate) fn size(name: &str, is_json: bool) -> Result<(), Error> {
     Ok(())
 }
 
-fn measure(images: &Images, image: &Image) -> Result<Sized, Error> {
-    let (mut builds, mut buffers) = (Vec::new(), Vec::new());
+fn measure(images: &Images, image: &Image, largest_count: usize) -> Result<Sized, Error> {
+    let (mut builds, mut buffers, mut largest) = (Vec::new(), Vec::new(), Vec::new());
     for (build, features) in builds_of(image)? {
-        let elf = images.build(image, &features)?;
-        let (sizes, found) = sizes(&read(&elf)?);
+        let layout = read(&images.build(image, &features)?)?;
+        let (sizes, found) = sizes(&layout);
         builds.push(Row { build, sizes });
         buffers = found;
+        largest = largest_of(layout, largest_count);
     }
     let goals = goals(&builds);
-    Ok(Sized { image: image.name.clone(), target: image.target.clone(), builds, buffers, goals })
+    Ok(Sized { image: image.name.clone(), target: image.target.clone(), builds, buffers, goals, largest })
+}
+
+/// The `count` largest functions, then as many statics and constants.
+fn largest_of(layout: Layout, count: usize) -> Vec<Largest> {
+    let Layout { sections, mut symbols, .. } = layout;
+    let mut seen = BTreeSet::new();
+    symbols.retain(|symbol| seen.insert(symbol.address));
+    symbols.sort_by_key(|symbol| std::cmp::Reverse(symbol.bytes));
+    let is_constant = |address| {
+        let section = sections.iter().find(|section| section.contains(address));
+        section.is_some_and(|section| section.kept_at == Some(section.address))
+    };
+    let kind = |symbol: &Symbol| match symbol.is_function {
+        true => "code",
+        false if is_constant(symbol.address) => "constant",
+        false => "static",
+    };
+    let of = |wanted: &'static str| {
+        let symbols = symbols.iter().filter(|symbol| kind(symbol) == wanted).take(count);
+        symbols.map(|symbol| Largest { bytes: symbol.bytes, kind: wanted, name: symbol.name.clone() }).collect()
+    };
+    let lists: [Vec<_>; 3] = ["code", "static", "constant"].map(of);
+    lists.into_iter().flatten().collect()
 }
 
 /// Reads the ELF at `path`.
@@ -179,16 +217,18 @@ fn buffers_in(section: &Section, layout: &Layout) -> Vec<Buffer> {
     if section.name.contains(BUFFER_SECTION) {
         return vec![Buffer { bytes: section.bytes, name: section.name.clone() }];
     }
-    let named = within(section, layout, false).filter(|symbol| symbol.name.contains(BUFFER_NAME));
+    let named = within(section, layout, false).filter(|symbol| is_buffer(&symbol.name));
     named.map(|symbol| Buffer { bytes: symbol.bytes, name: symbol.name.clone() }).collect()
 }
 
+/// Whether a static is called a buffer itself, whatever the modules around it are called.
+fn is_buffer(path: &str) -> bool {
+    let name = path.rsplit("::").next().unwrap_or(path);
+    name.to_ascii_lowercase().contains(BUFFER_NAME)
+}
+
 /// Functions or statics in a section, each once however many names it has.
-fn within<'a>(
-    section: &'a Section,
-    layout: &'a Layout,
-    is_function: bool,
-) -> impl Iterator<Item = &'a crate::elf::Symbol> {
+fn within<'a>(section: &'a Section, layout: &'a Layout, is_function: bool) -> impl Iterator<Item = &'a Symbol> {
     let mut seen = BTreeSet::new();
     let symbols = layout.symbols.iter().filter(move |symbol| symbol.is_function == is_function);
     symbols.filter(move |symbol| section.contains(symbol.address) && seen.insert(symbol.address))
@@ -245,6 +285,9 @@ fn table(sized: &Sized) -> String {
     for Buffer { name, bytes } in &sized.buffers {
         let _ = writeln!(text, "buffer {bytes:>7}  {name}");
     }
+    for Largest { bytes, kind, name } in &sized.largest {
+        let _ = writeln!(text, "{kind:8} {bytes:>5}  {name}");
+    }
     for Goal { what, bytes, limit_bytes, met } in &sized.goals {
         let met = if *met { "met" } else { "missed" };
         let _ = writeln!(text, "goal {met:6}  {what}: {bytes} of {limit_bytes}");
@@ -285,6 +328,7 @@ mod tests {
                 symbol("app::hot_by_another_name", RAM + 4, 12, true),
                 symbol("app::RX_BUFFER", RAM + 40, 20, false),
                 symbol("app::COUNT", RAM + 60, 4, false),
+                symbol("buffer::TABLE", FLASH + 60, 16, false),
             ],
             segments: Vec::new(),
         }
@@ -297,6 +341,12 @@ mod tests {
         let expected = Sizes { flash_bytes: 140, ram_bytes: 28 + 10 + 8, buffer_bytes: 20, ram_code_bytes: 12 };
         assert_eq!(sizes, expected);
         assert_eq!(buffers, [Buffer { bytes: 20, name: "app::RX_BUFFER".to_owned() }]);
+    }
+
+    #[test]
+    fn a_buffer_is_what_is_called_one_in_any_case_and_not_what_lies_in_a_module_of_that_name() {
+        assert!(is_buffer("board::uart::RX_BYTE_BUFFER") && is_buffer("app::__rtic_internal_local_init_uart_buffers"));
+        assert!(!is_buffer("buffer::COUNT") && !is_buffer("app::NODE"));
     }
 
     #[test]
@@ -334,6 +384,22 @@ mod tests {
         assert!(said.starts_with("rtic-firmware/a/Cargo.toml:") && said.contains("`node`"), "{said}");
     }
 
+    #[test]
+    fn the_largest_come_first_and_two_names_of_one_are_one() {
+        let found = largest_of(layout(), 9);
+        let names: Vec<_> = found.iter().map(|largest| (largest.kind, &largest.name[..])).collect();
+        assert_eq!(
+            names,
+            [
+                ("code", "app::in_flash"),
+                ("code", "app::hot"),
+                ("static", "app::RX_BUFFER"),
+                ("static", "app::COUNT"),
+                ("constant", "buffer::TABLE"),
+            ]
+        );
+    }
+
     fn rows(node: u64, all: u64, ram: u64) -> Vec<Row> {
         let row = |build: &str, flash_bytes, ram_bytes| Row {
             build: build.to_owned(),
@@ -356,13 +422,17 @@ mod tests {
         let builds = rows(3000, 3500, 200);
         let goals = goals(&builds);
         let buffers = vec![Buffer { bytes: 2048, name: "app::POOL_BUFFER".to_owned() }];
-        let sized = Sized { image: "a".to_owned(), target: "t".to_owned(), builds, buffers, goals };
+        let largest = largest_of(layout(), 1);
+        let sized = Sized { image: "a".to_owned(), target: "t".to_owned(), builds, buffers, goals, largest };
         let expected = "a (t), bytes
          flash   ± node       RAM   ± node   buffers  RAM code
 bare      1000    -2000        10     -190         0         0
 node      3000       +0       200       +0         0         0
 all       3500     +500       201       +1         0         0
 buffer    2048  app::POOL_BUFFER
+code        50  app::in_flash
+static      20  app::RX_BUFFER
+constant    16  buffer::TABLE
 goal met     flash of `node` over `bare`: 2000 of 15000
 goal met     RAM of `node` without buffers: 200 of 4000
 goal met     flash of `all` over `bare`: 2500 of 15000

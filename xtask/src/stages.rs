@@ -117,7 +117,7 @@ fn image_stages(report: &mut Report, setup: &Setup, images: Result<&Images, &Err
         let name = &image.name;
         stage(report, setup, &format!("image {name}"), || images.build(image, &Features::default()).map(drop));
         stage(report, setup, &format!("lint of image {name}"), || image.lint());
-        stage(report, setup, &format!("size of image {name}"), || size::size(name, false));
+        stage(report, setup, &format!("size of image {name}"), || size::size(name, false, 0));
     }
 }
 
