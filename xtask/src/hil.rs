@@ -13,6 +13,9 @@ pub(crate) const HARNESS: &str = "osap-hil";
 /// The emulated RP2040, which is a package of Node.js.
 const RP2040: &str = "tests/hil/rp2040";
 
+/// The program that the harness runs beside itself, as a user would.
+const HOST_PROGRAM: &str = "build --release -p osap --bin osap";
+
 /// `cargo xtask hil`: makes ready what is needed, and hands over to the harness with `arguments` as they are.
 pub(crate) fn hil(arguments: &[String]) -> Result<(), Error> {
     ready(&Images::read()?)?;
@@ -24,14 +27,15 @@ pub(crate) fn harness(arguments: &[String]) -> Program {
     Program::cargo("run --release -p").args([HARNESS, "--"]).args(arguments)
 }
 
-/// Installs emulators and packages where they are missing, and builds the images that the emulators run.
+/// Installs emulators and packages where they are missing, and builds the images that the emulators run and the host's
+/// program.
 pub(crate) fn ready(images: &Images) -> Result<(), Error> {
     setup::programs_of(setup::HIL).complete()?;
     install_packages()?;
     for image in images.all().iter().filter(|image| is_emulated(image)) {
         images.build(image, &Features::default())?;
     }
-    Ok(())
+    Program::cargo(HOST_PROGRAM).run()
 }
 
 /// Whether an emulator runs this image: those without a board, and those of the RP2040. Of the others none has a model.

@@ -125,7 +125,7 @@ fn image_stages(report: &mut Report, setup: &Setup, images: Result<&Images, &Err
 fn emulator_stages(report: &mut Report, setup: &Setup, images: Result<&Images, &Error>) {
     counted_stage(report, setup, setup::RP2040_TESTS, Runner::Node, hil::rp2040_tests);
     if let Some(images) = images.ok().filter(|images| images.has_member(hil::HARNESS)) {
-        counted_stage(report, setup, setup::HIL, Runner::Own, || {
+        counted_stage(report, setup, setup::HIL, Runner::Cargo, || {
             hil::ready(images)?;
             Ok(hil::harness(&["all".to_owned()]))
         });

@@ -1,8 +1,8 @@
 //! Counts tests by reading what a test runner prints, while it is passed on to the reader.
 //!
-//! Cargo's runners close with one line each, a program of our own with `N passed, M failed` alone on a line. Node's runner
-//! closes with a line for each count, behind `#` where it writes TAP and behind `ℹ` where it writes for people; which of the
-//! two differs from version to version.
+//! Cargo's runners close with one line each, and so does the emulators' harness. Node's runner closes with a line for each
+//! count, behind `#` where it writes TAP and behind `ℹ` where it writes for people; which of the two differs from version to
+//! version.
 
 use std::collections::BTreeMap;
 
@@ -18,13 +18,11 @@ const NODE_MARKS: [&str; 2] = ["# ", "ℹ "];
 /// Whose output is read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Runner {
-    /// `cargo test`.
+    /// `cargo test`, or what closes as its binaries do.
     #[default]
     Cargo,
     /// `node --test`.
     Node,
-    /// A program of our own.
-    Own,
 }
 
 /// Tests counted so far.
@@ -80,7 +78,6 @@ impl Tally {
         let line = line.trim();
         match self.runner {
             Runner::Cargo => self.read_cargo(line),
-            Runner::Own => self.read_own(line),
             Runner::Node => self.read_node(&without_colours(line)),
         }
     }
@@ -99,20 +96,6 @@ impl Tally {
             self.counts.ignored += count_of(result, "ignored");
         } else {
             self.read_not_run(line);
-        }
-    }
-
-    fn read_own(&mut self, line: &str) {
-        if self.read_not_run(line) {
-            return;
-        }
-        let number = |field: &str, word| field.strip_suffix(word)?.trim().parse::<u64>().ok();
-        let mut fields = line.split(", ");
-        let passed = fields.next().and_then(|field| number(field, "passed"));
-        let failed = fields.next().and_then(|field| number(field, "failed"));
-        if let (Some(passed), Some(failed)) = (passed, failed) {
-            self.counts.passed += passed;
-            self.counts.failed += failed;
         }
     }
 
@@ -244,18 +227,5 @@ ok 1 - a
         assert_eq!(node("# tests 9\n# pass 5\n# duration_ms 4\n"), Counts::default(), "does not add up");
         assert_eq!(node("pass 5\n# pass five\n# duration_ms 4\n"), Counts::default());
         assert_eq!(node(&format!("# pass 5\n{TAP}")).passed, 3);
-    }
-
-    #[test]
-    fn a_program_of_our_own_closes_with_a_plain_count() {
-        let count = |output: &str| {
-            let mut tally = Tally::of(Runner::Own);
-            tally.feed(output.as_bytes());
-            tally.finish()
-        };
-        let counts = count("scan ok\nNOT RUN: board: none is there\n\n12 passed, 1 failed, 1 skipped\n");
-        let not_run = vec!["board: none is there".to_owned()];
-        assert_eq!(counts, Counts { passed: 12, failed: 1, ignored: 0, not_run });
-        assert_eq!(count("3 passed\n3 passed, some failed\nit was 3 passed, 0 failed\n"), Counts::default());
     }
 }
