@@ -2,6 +2,8 @@
 // References: ARMv6-M Architecture Reference Manual (DDI 0419), Cortex-M0+ TRM (DDI 0484), Cortex-M0+ Devices Generic
 // User Guide (DUI 0662), RP2040 datasheet. What the package does instead is said at each function.
 
+import { Cpu } from './cpu.mjs';
+
 /** @typedef {import('rp2040js').RP2040} RP2040 */
 /** @typedef {RP2040['core']} Core */
 
@@ -39,8 +41,8 @@ const AIRCR_SYSRESETREQ = 1 << 2;
 
 /** The interrupt controller and exception logic of one core. */
 export class Exceptions {
-  /** @param {RP2040} rp @param {CoreEvents} events */
-  constructor(rp, events) {
+  /** @param {RP2040} rp @param {import('./bus.mjs').BusState} bus @param {CoreEvents} events */
+  constructor(rp, bus, events) {
     this.rp = rp;
     this.core = rp.core;
     this.events = events;
@@ -55,6 +57,7 @@ export class Exceptions {
     this.scr = 0;
     /** The core waits in a ROM function, which an interrupt leaves only if it is not masked. */
     this.polling = false;
+    this.cpu = new Cpu(rp.core, this, bus, rp.sram);
     const { core } = this;
     this.enter = core.exceptionEntry.bind(core);
     this.leave = core.exceptionReturn.bind(core);
@@ -166,7 +169,7 @@ export class Exceptions {
   enterException(number) {
     const { core } = this;
     core.waiting = false;
-    this.enter(number);
+    this.cpu.stack(number);
     if (!(core.PC & 1)) this.raise(`vector ${number} has no Thumb bit`, core.PC);
     core.PC = (core.PC & ~1) >>> 0;
     this.events.onEntry(number);
@@ -179,7 +182,7 @@ export class Exceptions {
   returnFrom(excReturn) {
     const { core } = this;
     const number = core.IPSR;
-    this.leave(excReturn);
+    this.cpu.unstack(excReturn);
     this.extraCycles += RETURN_CYCLES;
     if (number >= 16) {
       const bit = 1 << (number - 16);

@@ -1,13 +1,16 @@
 // Executes Thumb instructions: a table of handlers over the package's core, whose registers and exceptions it shares.
 // The package's own interpreter tries some eighty patterns in turn; this one is several times as fast, sets the flags as
-// the manual says, and counts cycles by the Cortex-M0+ TRM's instruction table. What is rare (MRS, MSR, CPS, barriers,
-// hints, SVC, BKPT, UDF) still goes to the package. Encodings and flags: ARMv6-M ARM A6.7, A2.2.1.
+// the manual says, and counts cycles by the Cortex-M0+ TRM's instruction table. What is rare (MRS, MSR, barriers, SVC,
+// BKPT, UDF, most hints) still goes to the package. Encodings and flags: ARMv6-M ARM A6.7, A2.2.1.
 import { RAM_BYTES } from './bus.mjs';
 
 const RAM = 0x20000000;
 const SP = 13;
 const LR = 14;
 const PC = 15;
+/** The package's numbers of the core's modes. */
+const THREAD_MODE = 0;
+const HANDLER_MODE = 1;
 
 /** @typedef {(cpu: Cpu, opcode: number) => number} Handler executes an instruction and returns its cycles */
 
@@ -39,6 +42,69 @@ export class Cpu {
         set: (/** @type {boolean} */ value) => (this[own] = value),
       });
     }
+  }
+
+  /**
+   * Pushes the frame of exception entry and goes to the handler, on the main stack in RAM; anything else the package
+   * does (ARMv6-M ARM, PushStack() and ExceptionTaken()). The vector's Thumb bit is still in the PC afterwards.
+   * @param {number} number
+   */
+  stack(number) {
+    const { core, ram32, r } = this;
+    const frame = (r[SP] - 0x20) & ~4;
+    const at = (frame - RAM) >>> 0;
+    if (core.SPSEL !== 0 || at >= RAM_BYTES - 0x20) {
+      this.exceptions.enter(number);
+      return;
+    }
+    const i = at >> 2;
+    ram32[i] = r[0];
+    ram32[i + 1] = r[1];
+    ram32[i + 2] = r[2];
+    ram32[i + 3] = r[3];
+    ram32[i + 4] = r[12];
+    ram32[i + 5] = r[LR];
+    ram32[i + 6] = r[PC] & ~1;
+    ram32[i + 7] = this.#flags() | core.IPSR | (1 << 24) | (r[SP] & 4 ? 1 << 9 : 0);
+    r[SP] = frame;
+    r[LR] = core.currentMode === HANDLER_MODE ? 0xfffffff1 | 0 : 0xfffffff9 | 0;
+    core.currentMode = HANDLER_MODE;
+    core.IPSR = number;
+    core.eventRegistered = true;
+    r[PC] = core.readUint32(core.VTOR + 4 * number);
+  }
+
+  /** The way back (ARMv6-M ARM, ExceptionReturn() and PopStack()). @param {number} excReturn its low bits */
+  unstack(excReturn) {
+    const { core, ram32, r } = this;
+    const at = (r[SP] - RAM) >>> 0;
+    const mode = excReturn & 0xf;
+    if (core.SPSEL !== 0 || at >= RAM_BYTES - 0x20 || (mode !== 1 && mode !== 9)) {
+      this.exceptions.leave(excReturn);
+      return;
+    }
+    const i = at >> 2;
+    r[0] = ram32[i];
+    r[1] = ram32[i + 1];
+    r[2] = ram32[i + 2];
+    r[3] = ram32[i + 3];
+    r[12] = ram32[i + 4];
+    r[LR] = ram32[i + 5];
+    r[PC] = ram32[i + 6];
+    const status = ram32[i + 7];
+    r[SP] = (r[SP] + 0x20) | (status & (1 << 9) ? 4 : 0);
+    this.n = status < 0;
+    this.z = (status & (1 << 30)) !== 0;
+    this.c = (status & (1 << 29)) !== 0;
+    this.v = (status & (1 << 28)) !== 0;
+    core.IPSR = status & 0x3f;
+    core.currentMode = mode === 1 ? HANDLER_MODE : THREAD_MODE;
+    core.eventRegistered = true;
+    core.interruptsUpdated = true;
+  }
+
+  #flags() {
+    return (this.n ? 1 << 31 : 0) | (this.z ? 1 << 30 : 0) | (this.c ? 1 << 29 : 0) | (this.v ? 1 << 28 : 0);
   }
 
   /** Executes the instruction at the PC and returns its cycles. */
@@ -430,6 +496,23 @@ function dataProcessing(operation) {
   return (cpu, op) => ((cpu.r[op & 7] = flagged(cpu, compute(cpu, op))), 1);
 }
 
+/** CPSIE i and CPSID i. @type {Handler} */
+const changeMask = (cpu, op) => {
+  const { core } = cpu;
+  if (op !== 0xb662 && op !== 0xb672) return byPackage(cpu, op);
+  core.PM = op === 0xb672;
+  core.interruptsUpdated = true;
+  return 1;
+};
+
+/** NOP and WFI; the other hints go to the package. @type {Handler} */
+const hint = (cpu, op) => {
+  if (op === 0xbf00) return 1;
+  if (op !== 0xbf30) return byPackage(cpu, op);
+  cpu.core.waiting = true;
+  return 2;
+};
+
 /** 0xb000 to 0xbfff. @param {number} index @returns {Handler} */
 function miscellaneous(index) {
   switch (index >> 2) {
@@ -442,9 +525,13 @@ function miscellaneous(index) {
       return push;
     case 0xba:
       return reverse(index & 3);
+    case 0xb6:
+      return changeMask;
     case 0xbc:
     case 0xbd:
       return pop;
+    case 0xbf:
+      return hint;
     default:
       return byPackage;
   }

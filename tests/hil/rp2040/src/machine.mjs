@@ -4,7 +4,6 @@ import { BootRom } from './bootrom.mjs';
 import { installBus, XIP } from './bus.mjs';
 import { VirtualClock } from './clock.mjs';
 import { Exceptions } from './core.mjs';
-import { Cpu } from './cpu.mjs';
 import { Dma } from './dma.mjs';
 import { mendResets, mendTimerAlarms, stopPio } from './mends.mjs';
 import { Pl011 } from './pl011.mjs';
@@ -57,8 +56,8 @@ export class Machine {
     this.dma = new Dma(rp);
     Object.assign(rp, { dma: this.dma });
     rp.peripherals[DMA_PAGE] = this.dma;
-    this.exceptions = new Exceptions(rp, parts.events);
-    this.cpu = new Cpu(rp.core, this.exceptions, this.bus, parts.sram);
+    this.exceptions = new Exceptions(rp, this.bus, parts.events);
+    this.cpu = this.exceptions.cpu;
     this.uarts = UARTS.map(({ irq, dreq }, i) => new Pl011(rp, `UART${i}`, irq, dreq, parts.counters[i]));
     UARTS.forEach(({ page }, i) => (rp.peripherals[page] = this.uarts[i]));
     this.ssi = new Ssi(rp, parts.flash, (on) => (this.bus.xip = on));
