@@ -1,8 +1,8 @@
 //! What outlives a reset: settings, the report of why it came, and who the device is.
 //!
-//! - **Walk:** start-up → [`Region::take`], [`Region::factory`]; a handler → [`Region::restart`] → reset → start-up.
+//! - **Walk:** start-up → [`Region::take`], [`Region::factory`]; a handler → [`Region::report`] → reset → start-up.
 //! - **Invariants:** the region lies outside the program's memory, so that neither start-up nor QEMU's loader writes there at a reset.
-//! - **Context:** start-up; [`Region::restart`] in handlers, with everything else stopped. **Clause:** `[DSC-05]`.
+//! - **Context:** start-up; [`Region::report`] in handlers, with everything else stopped. **Clause:** `[DSC-05]`.
 //!
 //! These boards have no flash of their own to write to: their pseudo-static RAM stands for it, handled as flash is. It outlives a
 //! reset, and the emulator's end where a file backs it:
@@ -88,14 +88,13 @@ impl Region {
         Factory::read(unsafe { &*self.place::<[u32; FACTORY_WORDS]>(FACTORY) })
     }
 
-    /// Resets the device, after it has written down why where there is a `report`.
-    pub fn restart(self, report: Option<&Report>) -> ! {
-        cortex_m::interrupt::disable();
-        if let Some(report) = report {
-            // SAFETY: nothing else runs any more.
-            report.encode(unsafe { &mut *self.place(REPORT) });
-        }
-        cortex_m::peripheral::SCB::sys_reset()
+    /// Writes down why the device is about to be reset.
+    ///
+    /// # Safety
+    /// Nothing else runs any more: interrupts are masked, and the caller never returns.
+    pub unsafe fn report(self, report: &Report) {
+        // SAFETY: an aligned place in RAM; start-up's reference to it is used no more, as the caller vouches.
+        report.encode(unsafe { &mut *self.place(REPORT) });
     }
 }
 

@@ -1,10 +1,10 @@
 //! What ends a run: panic, fault, watchdog. Each writes down why, where the feature `report` is on, and resets the device.
 //!
-//! - **Walk:** handler → [`Region::restart`](board_mps2_an500::kept::Region::restart) → reset → `past_reports` → `osap debug`.
+//! - **Walk:** handler → [`Region::report`](board_mps2_an500::kept::Region::report) → reset → `past_reports` → `osap debug`.
 //! - **Invariant:** nothing of the program runs on after any of these.
 //! - **Context:** handlers, above every task. **Clause:** `[DSC-06]`.
 
-use board_mps2_an500::{REGION, now};
+use board_mps2_an500::now;
 use core::panic::PanicInfo;
 use cortex_m_rt::{ExceptionFrame, exception};
 use firmware_app::report::Report;
@@ -31,13 +31,13 @@ unsafe fn NonMaskableInt() {
 }
 
 /// Resets the device, after what `report` says was written down.
-#[cfg(feature = "report")]
+#[cfg_attr(not(feature = "report"), expect(unused_variables, reason = "nobody is told"))]
 fn restart(report: impl FnOnce() -> Report) -> ! {
-    REGION.restart(Some(&report()))
-}
-
-/// Resets the device.
-#[cfg(not(feature = "report"))]
-fn restart(_: impl FnOnce() -> Report) -> ! {
-    REGION.restart(None)
+    cortex_m::interrupt::disable();
+    // SAFETY: interrupts are masked, and what follows never returns.
+    #[cfg(feature = "report")]
+    unsafe {
+        board_mps2_an500::REGION.report(&report());
+    }
+    cortex_m::peripheral::SCB::sys_reset()
 }

@@ -1,0 +1,118 @@
+//! The device this image makes: sizes, and what is put together at start-up.
+//!
+//! - **Walk:** `init` → [`start`] → what the tasks own.
+//! - **Invariant:** the kind comes from the settings, else from the factory record; the boot epoch is the number of starts.
+//! - **Context:** start-up, before any interrupt. **Clauses:** `[LNK-02]`, `[SYS-04]`.
+
+use board_mps2_an386::clock::{Wake, now};
+use board_mps2_an386::kept::SettingsFlash;
+use board_mps2_an386::pac::{Interrupt, Peripherals};
+use board_mps2_an386::uart::{BIT_RATE, CHECK, MTU_BYTES, UART_COUNT, Uart, UartBuffers};
+use board_mps2_an386::watchdog::Watchdog;
+use board_mps2_an386::{Board, REGION, UartRx, UartTx};
+use firmware_app::kind::KINDS;
+use firmware_app::lock::NodeLock;
+use firmware_app::report::Report;
+use firmware_app::{Device, Link};
+use osap_protocol::discovery::{BuildKind, Event, GatewayKind, Name, Verbosity};
+use osap_runtime::GatewayConfig;
+
+/// What `route` is bound to: a port's interrupt that nothing else uses.
+pub(crate) const ROUTE: Interrupt = Interrupt::PORT0;
+/// What `serve` is bound to, likewise.
+pub(crate) const SERVE: Interrupt = Interrupt::PORT1;
+
+/// Slots for packets.
+const SLOTS: usize = 32;
+/// Bytes of a slot.
+const BYTES: usize = MTU_BYTES as usize;
+/// The netresponder, echo, stream and spin.
+const PORTS: usize = 4;
+/// Bytes of the longest message that echo takes.
+const MESSAGE_BYTES: usize = 1024;
+/// Bytes of the longest packet and its check.
+const FRAME_BYTES: usize = BYTES + CHECK.len();
+
+/// The node.
+pub(crate) type Node = osap_runtime::Node<SLOTS, BYTES, UART_COUNT, PORTS>;
+/// The services.
+pub(crate) type Services = firmware_app::Services<BYTES, MESSAGE_BYTES>;
+/// The links.
+pub(crate) type Links = [Link<Uart, BYTES, FRAME_BYTES>; UART_COUNT];
+
+/// Its settings.
+pub(crate) type Settings = firmware_app::settings::Settings<&'static mut SettingsFlash>;
+
+/// A UART as a gateway. Each may hold a quarter of the slots, so that no one link can fill the pool.
+const GATEWAY: GatewayConfig = GatewayConfig {
+    type_name: "uart",
+    kind: GatewayKind::Link,
+    mtu_bytes: MTU_BYTES,
+    bit_rate: BIT_RATE,
+    bits_a_byte: 10,
+    check: CHECK,
+    packet_hold_max: 8,
+};
+
+/// What the tasks own.
+pub(crate) struct Started {
+    pub(crate) node: Node,
+    pub(crate) services: Services,
+    pub(crate) links: Links,
+    pub(crate) rx: [UartRx; UART_COUNT],
+    pub(crate) tx: [UartTx; UART_COUNT],
+    pub(crate) wake: Wake,
+    pub(crate) watchdog: Watchdog,
+    /// None where the memory for them cannot be used.
+    pub(crate) settings: Option<Settings>,
+}
+
+/// Puts the device together.
+pub(crate) fn start(peripherals: Peripherals, buffers: &'static mut [UartBuffers; UART_COUNT]) -> Started {
+    let board = Board::new(peripherals, REGION, buffers);
+    let settings = Settings::load(board.kept.settings, 0..SettingsFlash::BYTES).ok();
+    let kind = settings
+        .as_ref()
+        .and_then(Settings::kind)
+        .and_then(|kind| KINDS.get(usize::from(kind)))
+        .unwrap_or(board.factory.kind);
+    let (boots, name) = settings.as_ref().map_or((0, ""), |settings| (settings.boots(), settings.name()));
+    let device = Device::new(kind, board.factory.unique_id, boots, BuildKind::Firmware, name);
+    let (mut node, services) = device.expect("PORTS are as many as every kind has").into_parts();
+    if let Some(report) = Report::decode(board.kept.report) {
+        for line in report.lines() {
+            node.debug_mut().record(Verbosity::Events, now(), || Event::Text(line));
+        }
+    }
+    let links = board.wires.map(|wire| Link::new(wire, GATEWAY, &mut node).expect("a gateway for each UART"));
+    Started {
+        node,
+        services,
+        links,
+        rx: board.rx,
+        tx: board.tx,
+        wake: board.wake,
+        watchdog: board.watchdog.start(),
+        settings,
+    }
+}
+
+/// The name given last, once.
+pub(crate) fn new_name(node: &mut Node) -> Option<Name> {
+    Name::try_from(node.take_new_name()?).ok()
+}
+
+/// The node as RTIC shares it.
+pub(crate) struct Locked<M>(pub(crate) M);
+
+impl<M: rtic::Mutex<T = Node>> NodeLock for Locked<M> {
+    type Node = Node;
+
+    fn lock<R>(&mut self, work: impl FnOnce(&mut Node) -> R) -> R {
+        self.0.lock(work)
+    }
+
+    fn wake_routing(&mut self) {
+        rtic::pend(ROUTE);
+    }
+}
