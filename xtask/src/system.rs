@@ -2,6 +2,9 @@
 
 use crate::run::Program;
 
+/// A machine that has just started may be installing its own updates: wait for those, s.
+const LOCK_WAIT: [&str; 2] = ["-o", "DPkg::Lock::Timeout=300"];
+
 /// Installs Debian packages, where this is Debian and we are root; else says what to do.
 pub(crate) fn install(packages: &[&str]) -> Result<(), String> {
     let list = packages.join(" ");
@@ -13,7 +16,7 @@ pub(crate) fn install(packages: &[&str]) -> Result<(), String> {
         return Err(format!("`{list}` is missing and only root may install it; run `sudo apt-get install {list}`"));
     }
     let apt = |arguments: &[&str]| {
-        let program = Program::new("apt-get").args(arguments).env("DEBIAN_FRONTEND", "noninteractive");
+        let program = Program::new("apt-get").args(LOCK_WAIT).args(arguments).env("DEBIAN_FRONTEND", "noninteractive");
         program.run().map_err(|error| format!("{error}; {by_hand}"))
     };
     let install = ["install", "--yes", "--quiet", "--no-install-recommends"];
