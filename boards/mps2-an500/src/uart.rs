@@ -203,3 +203,55 @@ impl UartTx {
         true
     }
 }
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use std::boxed::Box;
+    use std::vec::Vec;
+    use vcell::VolatileCell;
+
+    /// A UART over memory in place of registers.
+    fn uart() -> (&'static UartRegisters, UartParts) {
+        let zero = || VolatileCell::new(0);
+        let registers: &UartRegisters = Box::leak(Box::new(UartRegisters {
+            data: zero(),
+            state: zero(),
+            control: zero(),
+            interrupts: zero(),
+            divider: zero(),
+        }));
+        let buffers = Box::leak(Box::new(UartBuffers::new()));
+        (registers, start(Registers::of(registers), Interrupt::UART0TX, buffers))
+    }
+
+    /// A frame goes out byte by byte, none while the last has not left, and its buffer comes back when all have.
+    #[test]
+    fn a_frame_leaves_once_and_its_buffer_comes_back() {
+        let (registers, UartParts { mut wire, mut tx, .. }) = uart();
+        assert_eq!((registers.divider.get(), registers.control.get()), (16, 0b1111));
+        let now = LocalTicks::from_us(5);
+        for frame in [&b"abc"[..], b"z"] {
+            assert_eq!(wire.clear_at(now), Some(now));
+            wire.room()[..frame.len()].copy_from_slice(frame);
+            let room = wire.room.take().unwrap(); // as `send` does, but for the pending
+            assert!(wire.outgoing.enqueue((room, frame.len())).is_ok());
+            assert_eq!(wire.clear_at(now), None);
+            let mut left = Vec::new();
+            loop {
+                registers.state.set(TX);
+                registers.data.set(0);
+                assert!(!tx.on_interrupt() && registers.data.get() == 0, "nothing is written while the UART is full");
+                registers.state.set(0);
+                if tx.on_interrupt() {
+                    break;
+                }
+                left.push(u8::try_from(registers.data.get()).unwrap());
+            }
+            assert_eq!(left, frame);
+            assert!(!tx.on_interrupt(), "said once");
+        }
+        assert_eq!(wire.clear_at(now), Some(now));
+    }
+}
