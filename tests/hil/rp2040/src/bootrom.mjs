@@ -106,7 +106,7 @@ export class BootRom {
     rp.onBreak = (immediate) => this.onBreak(immediate);
   }
 
-  /** A BKPT or UDF has been executed; outside the ROM both are a HardFault without a debugger (ARMv6-M ARM C1.6.1). */
+  /** A BKPT or UDF has been executed; outside the ROM both are a HardFault without a debugger (ARMv6-M ARM, BKPT). */
   onBreak(/** @type {number} */ immediate) {
     const at = (this.core.PC - 2) >>> 0;
     if (at >= 16 * 1024) {

@@ -82,7 +82,10 @@ function installReads(rp, state) {
       return 0;
     }
     if (address === core.PC >>> 0 && address >= ROM_BYTES && !(state.xip && isXip(address))) {
-      state.onError(`instruction fetch from ${hex(address)}${isXip(address) ? ', the flash is not in XIP mode' : ''}`, true);
+      state.onError(
+        `instruction fetch from ${hex(address)}${isXip(address) ? ', the flash is not in XIP mode' : ''}`,
+        true,
+      );
       return NOP;
     }
     const word = slow32((address & ~3) >>> 0);

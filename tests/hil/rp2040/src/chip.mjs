@@ -9,7 +9,7 @@ import { Profile } from './profile.mjs';
 import { REASON_TIMER, WatchdogMemory } from './watchdog.mjs';
 
 const RAM = 0x20000000;
-/** Any stage up to the processor's restarts it (datasheet 2.13.2: each stage waits for the one before). */
+/** Any stage up to the processor's restarts it (datasheet 2.13: each stage waits for the one before). */
 const PSM_UP_TO_PROC0 = 0xffff;
 
 /**

@@ -14,7 +14,7 @@ const PENDSV = 14;
 const SYSTICK = 15;
 const THREAD_PRIORITY = 4;
 
-/** Cycles from the boundary of an instruction to the handler's first (Cortex-M0+ TRM 3.9: 15 with no wait states). */
+/** Cycles from the boundary of an instruction to the handler's first (Cortex-M0+ TRM 3.6.1: 15 without wait states). */
 export const ENTRY_CYCLES = 15;
 /** Cycles of unstacking eight words and refilling the pipeline, beyond the branch's own. */
 export const RETURN_CYCLES = 12;
@@ -70,7 +70,7 @@ export class Exceptions {
 
   /**
    * A peripheral's interrupt line. A rising line pends; a line that falls leaves the pending state as it is
-   * (DUI 0662 4.2.9 "Level-sensitive and pulse interrupts"). The package treats the line itself as the pending state.
+   * (DUI 0662, level-sensitive and pulse interrupts). The package treats the line itself as the pending state.
    * @param {number} irq @param {boolean} high
    */
   setLine(irq, high) {
@@ -110,8 +110,8 @@ export class Exceptions {
   }
 
   /**
-   * Number of the pending exception that preempts `priority`, 0 if none: lowest priority value first, then lowest number
-   * (ARMv6-M ARM B1.5.4).
+   * Number of the pending exception that preempts `priority`, 0 if none: lowest priority value first, then lowest
+   * number (ARMv6-M ARM, exception priorities).
    * @param {number} priority
    */
   best(priority) {
@@ -130,7 +130,7 @@ export class Exceptions {
   }
 
   /**
-   * Whether a sleeping core wakes: PRIMASK does not count (ARMv6-M ARM B1.5.19 "Wait For Interrupt").
+   * Whether a sleeping core wakes: PRIMASK does not count (ARMv6-M ARM, Wait For Interrupt).
    * The package enters the handler in spite of PRIMASK.
    */
   wakes() {
@@ -155,14 +155,18 @@ export class Exceptions {
     return true;
   }
 
-  /** Entry clears the pending state of every interrupt (DUI 0662 4.2.9); the package does so above 25 only. */
-  activate(/** @type {number} */ bit) {
+  /**
+   * Entry clears the pending state of every interrupt (DUI 0662, level-sensitive interrupts); the package does so above
+   * 25 only.
+   * @param {number} bit
+   */
+  activate(bit) {
     this.core.pendingInterrupts &= ~bit;
     this.active |= bit;
   }
 
   /**
-   * The vector's bit 0 goes to EPSR.T and is no part of the PC (ARMv6-M ARM B1.5.6 ExceptionTaken). The package leaves
+   * The vector's bit 0 goes to EPSR.T and is no part of the PC (ARMv6-M ARM, ExceptionTaken()). The package leaves
    * it in the PC, so that `ADD Rd, PC` of a jump table in a handler is one too high.
    * @param {number} number
    */
@@ -176,7 +180,7 @@ export class Exceptions {
   }
 
   /**
-   * A line that is still high at the return pends again (DUI 0662 4.2.9).
+   * A line that is still high at the return pends again (DUI 0662, level-sensitive interrupts).
    * @param {number} excReturn
    */
   returnFrom(excReturn) {
@@ -203,7 +207,8 @@ export class Exceptions {
   }
 
   /**
-   * A target with bit 0 clear leaves the Thumb state, which ARMv6-M does not have (ARMv6-M ARM, BXWritePC and BLXWritePC).
+   * A target with bit 0 clear leaves the Thumb state, which ARMv6-M does not have (ARMv6-M ARM, BXWritePC and
+   * BLXWritePC).
    * @param {number} address
    */
   branchLink(address) {
@@ -213,7 +218,7 @@ export class Exceptions {
   }
 
   /**
-   * A fault of the instruction at `pc` (ARMv6-M ARM B1.5.15: every fault is a HardFault).
+   * A fault of the instruction at `pc` (ARMv6-M ARM, fault behavior: every fault is a HardFault).
    * @param {string} detail @param {number} pc
    */
   raise(detail, pc) {
@@ -223,7 +228,10 @@ export class Exceptions {
     this.core.waiting = false;
   }
 
-  /** A fault in HardFault or NMI locks the core up (ARMv6-M ARM B1.5.15). @param {{pc: number, detail: string}} fault */
+  /**
+   * A fault in HardFault or NMI locks the core up (ARMv6-M ARM, lockup).
+   * @param {{ pc: number, detail: string }} fault
+   */
   takeFault(fault) {
     const { core } = this;
     const where = `${fault.detail}, PC 0x${fault.pc.toString(16)}, LR 0x${core.LR.toString(16)}`;
@@ -240,7 +248,8 @@ export class Exceptions {
 
   /**
    * NVIC set-pending and clear-pending, and the SCB registers that the package does not know.
-   * Clearing does not touch a line that is high and not in service (DUI 0662 4.2.9.1).
+   * Clearing does not touch a line that is high and not in service (DUI 0662, hardware and software control of
+   * interrupts).
    */
   mendControlSpace() {
     const { core } = this;

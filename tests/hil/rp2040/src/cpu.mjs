@@ -1,6 +1,6 @@
 // Executes Thumb instructions: a table of handlers over the package's core, whose registers and exceptions it shares.
-// The package's own interpreter tries some eighty patterns in turn; this one is several times as fast, sets the flags as
-// the manual says, and counts cycles by the Cortex-M0+ TRM's instruction table. What is rare (MRS, MSR, barriers, SVC,
+// The package's own interpreter tries some eighty patterns in turn; this one is several times as fast, sets the flags
+// as the manual says, and counts cycles by the Cortex-M0+ TRM's instruction table. What is rare (MRS, MSR, barriers, SVC,
 // BKPT, UDF, most hints) still goes to the package. Encodings and flags: ARMv6-M ARM A6.7, A2.2.1.
 import { RAM_BYTES } from './bus.mjs';
 
@@ -36,7 +36,12 @@ export class Cpu {
     this.z = false;
     this.c = false;
     this.v = false;
-    for (const [flag, own] of /** @type {const} */ ([['N', 'n'], ['Z', 'z'], ['C', 'c'], ['V', 'v']])) {
+    for (const [flag, own] of /** @type {const} */ ([
+      ['N', 'n'],
+      ['Z', 'z'],
+      ['C', 'c'],
+      ['V', 'v'],
+    ])) {
       Object.defineProperty(core, flag, {
         get: () => this[own],
         set: (/** @type {boolean} */ value) => (this[own] = value),
@@ -304,11 +309,17 @@ const BY_REGISTER = [
   (cpu, op, address = indexed(cpu, op)) => (store32(cpu, address, cpu.r[op & 7]), 1 + wait(address, true)),
   (cpu, op, address = indexed(cpu, op)) => (store16(cpu, address, cpu.r[op & 7]), 1 + wait(address, true)),
   (cpu, op, address = indexed(cpu, op)) => (store8(cpu, address, cpu.r[op & 7]), 1 + wait(address, true)),
-  (cpu, op, address = indexed(cpu, op)) => ((cpu.r[op & 7] = (load8(cpu, address) << 24) >> 24), 1 + wait(address, false)),
+  (cpu, op, address = indexed(cpu, op)) => (
+    (cpu.r[op & 7] = (load8(cpu, address) << 24) >> 24),
+    1 + wait(address, false)
+  ),
   (cpu, op, address = indexed(cpu, op)) => ((cpu.r[op & 7] = load32(cpu, address)), 1 + wait(address, false)),
   (cpu, op, address = indexed(cpu, op)) => ((cpu.r[op & 7] = load16(cpu, address)), 1 + wait(address, false)),
   (cpu, op, address = indexed(cpu, op)) => ((cpu.r[op & 7] = load8(cpu, address)), 1 + wait(address, false)),
-  (cpu, op, address = indexed(cpu, op)) => ((cpu.r[op & 7] = (load16(cpu, address) << 16) >> 16), 1 + wait(address, false)),
+  (cpu, op, address = indexed(cpu, op)) => (
+    (cpu.r[op & 7] = (load16(cpu, address) << 16) >> 16),
+    1 + wait(address, false)
+  ),
 ];
 function indexed(/** @type {Cpu} */ cpu, /** @type {number} */ op) {
   return (cpu.r[(op >> 3) & 7] + cpu.r[(op >> 6) & 7]) | 0;
@@ -323,10 +334,12 @@ const BY_IMMEDIATE = [
   (cpu, op, address = offset(cpu, op, 1)) => (store16(cpu, address, cpu.r[op & 7]), 1 + wait(address, true)),
   (cpu, op, address = offset(cpu, op, 1)) => ((cpu.r[op & 7] = load16(cpu, address)), 1 + wait(address, false)),
   (cpu, op, address = (cpu.r[SP] + ((op & 0xff) << 2)) | 0) => (
-    store32(cpu, address, cpu.r[(op >> 8) & 7]), 1 + wait(address, true)
+    store32(cpu, address, cpu.r[(op >> 8) & 7]),
+    1 + wait(address, true)
   ),
   (cpu, op, address = (cpu.r[SP] + ((op & 0xff) << 2)) | 0) => (
-    (cpu.r[(op >> 8) & 7] = load32(cpu, address)), 1 + wait(address, false)
+    (cpu.r[(op >> 8) & 7] = load32(cpu, address)),
+    1 + wait(address, false)
   ),
   // ADR, and ADD of the SP.
   (cpu, op) => ((cpu.r[(op >> 8) & 7] = ((cpu.r[PC] + 2) & ~3) + ((op & 0xff) << 2)), 1),
@@ -517,7 +530,9 @@ const hint = (cpu, op) => {
 function miscellaneous(index) {
   switch (index >> 2) {
     case 0xb0:
-      return index & 2 ? ({ r }, op) => ((r[SP] -= (op & 0x7f) << 2), 1) : ({ r }, op) => ((r[SP] += (op & 0x7f) << 2), 1);
+      return index & 2
+        ? ({ r }, op) => ((r[SP] -= (op & 0x7f) << 2), 1)
+        : ({ r }, op) => ((r[SP] += (op & 0x7f) << 2), 1);
     case 0xb2:
       return EXTEND[index & 3];
     case 0xb4:

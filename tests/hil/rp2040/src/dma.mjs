@@ -1,6 +1,6 @@
 // The DMA controller. RP2040 datasheet 2.5. The package's own moves every word in no time, orders transfers of the same
 // instant backwards and never re-arms a pulsed request; here each transfer takes bus cycles and channels take turns.
-// Not modelled: the sniffer (2.5.5.2), and more than one transfer in flight.
+// Not modelled: the sniffer (2.5), and more than one transfer in flight.
 import { BasePeripheral } from 'rp2040js';
 
 const CHANNELS = 12;
@@ -8,7 +8,7 @@ const FIRST_TIMER = 0x3b;
 const PERMANENT = 0x3f;
 const PWM_WRAP_FIRST = 24;
 const PWM_WRAP_LAST = 31;
-/** Counters of pulsed requests saturate (datasheet 2.5.3.2: six bits). */
+/** Counters of pulsed requests saturate (datasheet 2.5, CHx_DBG_CTDREQ: six bits). */
 const CREDIT_MAX = 63;
 
 const IRQ_0 = 11;
@@ -47,7 +47,7 @@ const DBG = 0x800;
  */
 export const ISSUE_CYCLES = 3;
 
-/** The registers of a channel in the order of each alias (datasheet table 2.5.7, CHx_AL1 to CHx_AL3). */
+/** The registers of a channel in the order of each alias (datasheet 2.5, CHx_AL1 to CHx_AL3). */
 const ALIASES = [
   ['readAddr', 'writeAddr', 'count', 'ctrl'],
   ['ctrl', 'readAddr', 'writeAddr', 'count'],
@@ -86,7 +86,7 @@ export class Channel {
     return (this.ctrl & (CTRL_EN | CTRL_BUSY)) === (CTRL_EN | CTRL_BUSY);
   }
 
-  /** An address after one transfer; a ring of 2^n bytes changes the low n bits only (datasheet 2.5.1.1). */
+  /** An address after one transfer; a ring of 2^n bytes changes the low n bits only (datasheet 2.5, CTRL.RING_SIZE). */
   advance(/** @type {number} */ address, /** @type {boolean} */ isWrite) {
     const ringBits = (this.ctrl >> 6) & 0xf;
     const next = address + (1 << this.sizeLog2);
@@ -103,7 +103,7 @@ export class Dma extends BasePeripheral {
     this.rp = rp;
     this.clock = /** @type {import('./clock.mjs').VirtualClock} */ (rp.clock);
     this.channels = Array.from({ length: CHANNELS }, (_, i) => new Channel(i));
-    /** Requests that are held, by number (datasheet 2.5.3.1). @type {boolean[]} */
+    /** Requests that are held, by number (datasheet 2.5, DREQ table). @type {boolean[]} */
     this.dreq = new Array(64).fill(false);
     this.intr = 0;
     this.inte = [0, 0];
@@ -158,7 +158,10 @@ export class Dma extends BasePeripheral {
     return this.dreq[request] || channel.credit > 0;
   }
 
-  /** A pacing timer requests X / Y times a system clock cycle (datasheet 2.5.3.3). @param {Channel} channel */
+  /**
+   * A pacing timer requests X / Y times a system clock cycle (datasheet 2.5, pacing timers).
+   * @param {Channel} channel
+   */
   #paced(channel) {
     const timer = this.pace[channel.request - FIRST_TIMER];
     const x = timer >>> 16;
@@ -181,7 +184,8 @@ export class Dma extends BasePeripheral {
   }
 
   /**
-   * Puts the next transfer on the bus if it is free: high priority first, then in turn (datasheet 2.5.1).
+   * Puts the next transfer on the bus if it is free: high priority first, then in turn (datasheet 2.5,
+   * CTRL.HIGH_PRIORITY).
    * @param {Channel | null} previous the channel whose transfer has just ended; its pipeline is full
    */
   #arbitrate(previous = null) {
@@ -254,7 +258,10 @@ export class Dma extends BasePeripheral {
     else rp.writeUint32(channel.writeAddr, value);
   }
 
-  /** The transfer count has run out: interrupt, then chain (datasheet 2.5.2.2, 2.5.4). @param {Channel} channel */
+  /**
+   * The transfer count has run out: interrupt, then chain (datasheet 2.5, chaining, interrupts).
+   * @param {Channel} channel
+   */
   #finish(channel) {
     channel.ctrl &= ~CTRL_BUSY;
     if (!(channel.ctrl & CTRL_IRQ_QUIET)) {
@@ -366,7 +373,7 @@ export class Dma extends BasePeripheral {
 
   /**
    * The last register of each alias is a trigger; writing 0 to it is a null trigger, which raises the interrupt of a
-   * quiet channel (datasheet 2.5.2.1, 2.5.2.3).
+   * quiet channel (datasheet 2.5, triggers).
    * @param {Channel} channel @param {number} alias @param {number} slot @param {number} value
    */
   #writeChannel(channel, alias, slot, value) {
@@ -394,7 +401,8 @@ export class Dma extends BasePeripheral {
 }
 
 /**
- * Cycles of one access: three (read) and four (write) over the APB bridge, as the core's own (datasheet 2.1.4), else one.
+ * Cycles of one access: three (read) and four (write) over the APB bridge, as the core's own (datasheet 2.1), else
+ * one.
  * @param {number} address @param {boolean} isWrite
  */
 function accessCycles(address, isWrite) {

@@ -1,12 +1,12 @@
 // The flash chip of a Pico: Winbond W25Q16JV, 2 MiB. Its array with the rules of NOR flash, its typical times, and its
-// serial commands as far as firmware sends them through the SSI. W25Q16JV datasheet (rev. H) 8.2, 9.6.
+// serial commands as far as firmware sends them through the SSI. W25Q16JV datasheet, commands and AC characteristics.
 import { existsSync, readFileSync, writeFileSync } from 'node:fs';
 
 export const FLASH_BYTES = 2 * 1024 * 1024;
 export const SECTOR_BYTES = 4096;
 export const PAGE_BYTES = 256;
 
-/** Typical times (9.6): tSE, tBE1 (32 KiB), tBE2 (64 KiB), tPP. */
+/** Typical times (AC characteristics): tSE, tBE1 (32 KiB), tBE2 (64 KiB), tPP. */
 const SECTOR_ERASE_NS = 45e6;
 const BLOCK_32K_ERASE_NS = 120e6;
 const BLOCK_64K_ERASE_NS = 150e6;
@@ -38,7 +38,8 @@ export class Flash {
     this.programmedPages = 0;
     if (path && existsSync(path)) {
       const kept = readFileSync(path);
-      if (kept.length !== FLASH_BYTES) throw new Error(`${path}: ${kept.length} bytes; a flash file has ${FLASH_BYTES}`);
+      if (kept.length !== FLASH_BYTES)
+        throw new Error(`${path}: ${kept.length} bytes; a flash file has ${FLASH_BYTES}`);
       this.array.set(kept);
     }
   }
@@ -48,7 +49,7 @@ export class Flash {
   }
 
   /**
-   * The boot ROM's flash_range_erase (RP2040 datasheet 2.8.3.1.3): blocks where they fit, else sectors.
+   * The boot ROM's flash_range_erase (RP2040 datasheet 2.8.3): blocks where they fit, else sectors.
    * @param {number} address within the flash @param {number} count bytes @param {number} blockBytes
    * @param {number} blockCommand
    * @returns {FlashStep[]}
@@ -59,7 +60,7 @@ export class Flash {
     }
     const blockNs = { [BLOCK_ERASE_32K]: BLOCK_32K_ERASE_NS, [BLOCK_ERASE_64K]: BLOCK_64K_ERASE_NS }[blockCommand];
     const steps = [];
-    for (let at = address; at < address + count; ) {
+    for (let at = address; at < address + count;) {
       const isBlock = blockNs !== undefined && at % blockBytes === 0 && address + count - at >= blockBytes;
       const from = at;
       const length = isBlock ? blockBytes : SECTOR_BYTES;
@@ -105,9 +106,9 @@ export class Flash {
         return 0;
       case 0x35: // Read Status Register-2
         return STATUS_2_QUAD_ENABLED;
-      case 0x4b: // Read Unique ID: four dummy bytes, then 64 bits (8.2.32)
+      case 0x4b: // Read Unique ID: four dummy bytes, then 64 bits
         return index <= 4 ? 0 : this.uniqueId[(index - 5) % 8];
-      case 0x9f: // Read JEDEC ID (8.2.30)
+      case 0x9f: // Read JEDEC ID
         return JEDEC_ID[(index - 1) % 3];
       default:
         return 0;

@@ -105,7 +105,7 @@ export class Machine {
     this.exceptions.raise(detail, isFetch ? this.core.PC : this.core.PC - 2);
   }
 
-  /** The stages of the power-on state machine that the watchdog restarts (datasheet 2.13.3). */
+  /** The stages of the power-on state machine that the watchdog restarts (datasheet 2.13, WDSEL). */
   get watchdogSelection() {
     return this.rp.peripherals[PSM_PAGE].readUint32(PSM_WDSEL);
   }

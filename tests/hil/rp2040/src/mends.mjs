@@ -11,7 +11,7 @@ const RESET_PWM = 1 << 14;
 const RESET_UART0 = 22;
 
 /**
- * An alarm fires when the low word of the microsecond counter equals it (datasheet 4.6.3). The package counts whole
+ * An alarm fires when the low word of the microsecond counter equals it (datasheet 4.6). The package counts whole
  * microseconds from the instant of the write, so that it fires up to one too early, with the counter not yet there.
  * @param {RP2040} rp
  */

@@ -1,8 +1,8 @@
-// The UART of the RP2040: an Arm PL011 (r1p5) with 32-deep FIFOs. RP2040 datasheet 4.2; Arm DDI 0183 (PL011 TRM).
+// The UART of the RP2040: an Arm PL011 (r1p5) with 32-deep FIFOs. RP2040 datasheet 4.2; PL011 TRM (Arm DDI 0183).
 // The package's own UART has no bit times, no FIFO levels, no overrun, no time-out interrupt and no receive DREQ.
 import { BasePeripheral } from 'rp2040js';
 
-// Registers (datasheet 4.2.8).
+// Registers (datasheet 4.2).
 const UARTDR = 0x00;
 const UARTRSR = 0x04;
 const UARTFR = 0x18;
@@ -57,7 +57,7 @@ const DMACR_DMAONERR = 1 << 2;
 const FIFO_DEPTH = 32;
 /** Levels of UARTIFLS: an eighth, a quarter, half, three quarters, seven eighths. */
 const LEVELS = [4, 8, 16, 24, 28];
-/** Bit periods without a new byte after which the receive time-out interrupt comes (TRM 2.7.4). */
+/** Bit periods without a new byte after which the receive time-out interrupt comes (PL011 TRM, UARTRTINTR). */
 const TIMEOUT_BITS = 32;
 
 /**
@@ -119,7 +119,7 @@ export class Pl011 extends BasePeripheral {
     this.reset();
   }
 
-  /** Reset values of datasheet 4.2.8. */
+  /** Reset values of datasheet 4.2. */
   reset() {
     this.ibrd = 0;
     this.fbrd = 0;
@@ -144,7 +144,7 @@ export class Pl011 extends BasePeripheral {
     this.#update();
   }
 
-  /** One bit in local nanoseconds: 16 / (IBRD + FBRD / 64) of clk_peri (datasheet 4.2.7.1). */
+  /** One bit in local nanoseconds: 16 / (IBRD + FBRD / 64) of clk_peri (datasheet 4.2, baud rate calculation). */
   get bitNs() {
     return (16e9 * (this.divisor / 64)) / this.rp.clkPeri;
   }
@@ -158,7 +158,7 @@ export class Pl011 extends BasePeripheral {
     return 1 + this.dataBits + (this.lcr & LCR_PEN ? 1 : 0) + (this.lcr & LCR_STP2 ? 2 : 1);
   }
 
-  /** From a start bit's edge to the middle of the first stop bit, where a character is complete (TRM 2.4.3). */
+  /** From a start bit's edge to the first stop bit's middle, where a character is complete (PL011 TRM, receive logic). */
   get receiveNs() {
     return (1 + this.dataBits + (this.lcr & LCR_PEN ? 1 : 0) + 0.5) * this.bitNs;
   }
@@ -187,7 +187,7 @@ export class Pl011 extends BasePeripheral {
     if (!this.receiving) return;
     let entry = frame.isBreak ? DR_BE | DR_FE : sample(frame, this.bitNs, this.dataBits);
     if (this.rx.length >= this.depth) {
-      // The FIFO keeps its content, the character is lost (TRM 2.4.3 "Overrun bit").
+      // The FIFO keeps its content, the character is lost (PL011 TRM, overrun bit).
       this.overrun = true;
       this.counters.overruns++;
       this.ris |= INT_OE;
@@ -265,7 +265,7 @@ export class Pl011 extends BasePeripheral {
     if (data === undefined) return;
     this.counters.txBytes++;
     this.#shiftOut(data, false);
-    // On the way down through the level, and once only (TRM 2.8.3).
+    // On the way down through the level, and once only (PL011 TRM, UARTTXINTR).
     if (this.tx.length === this.txLevel) this.ris |= INT_TX;
     this.#update();
   }
@@ -372,12 +372,12 @@ export class Pl011 extends BasePeripheral {
     this.#update();
   }
 
-  /** The divisor takes effect with a write of this register only (datasheet 4.2.8, UARTIBRD; TRM 3.3.7). */
+  /** The divisor takes effect with a write of this register only (datasheet 4.2, UARTIBRD). */
   #writeLineControl(/** @type {number} */ value) {
     const wasBuffered = (this.lcr & LCR_FEN) !== 0;
     this.lcr = value;
     this.divisor = this.ibrd * 64 + this.fbrd;
-    // Clearing FEN flushes the transmit FIFO (TRM 3.3.8, disabling procedure).
+    // Clearing FEN flushes the transmit FIFO (PL011 TRM, UARTLCR_H).
     if (wasBuffered && !(value & LCR_FEN)) this.tx.length = 0;
     if (!(value & LCR_BRK)) this.breakSent = false;
     if (!this.shifting) this.#nextFrame();

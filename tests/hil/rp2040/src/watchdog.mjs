@@ -1,5 +1,5 @@
-// The watchdog. RP2040 datasheet 4.7. The package's own counts, but resets nothing and reads back neither REASON after a
-// reset nor a stopped tick. Errata RP2040-E1: the counter goes down by two each tick of 1 us.
+// The watchdog. RP2040 datasheet 4.7. The package's own counts, but resets nothing and reads back neither REASON after
+// a reset nor a stopped tick. Errata RP2040-E1: the counter goes down by two each tick of 1 us.
 import { BasePeripheral } from 'rp2040js';
 
 const CTRL = 0x00;
@@ -19,7 +19,7 @@ const TICK_ENABLE = 1 << 9;
 export const REASON_TIMER = 1;
 export const REASON_FORCE = 2;
 
-/** What outlives a reset by the watchdog: cleared by the RUN pin and at power-on only (datasheet 4.7.3, 4.7.6). */
+/** What outlives a reset by the watchdog: cleared by the RUN pin and at power-on only (datasheet 4.7). */
 export class WatchdogMemory {
   reason = 0;
   scratch = new Uint32Array(8);
@@ -38,7 +38,8 @@ export class Watchdog extends BasePeripheral {
     this.onReset = onReset;
     this.enabled = false;
     this.pauses = CTRL_PAUSES;
-    this.tick = 0;
+    /** Enabled by reset, with no length before software gives one. */
+    this.tick = TICK_ENABLE;
     /** Counter at `sinceNs`; it runs down from there. */
     this.count = 0;
     this.sinceNs = 0;
@@ -49,7 +50,7 @@ export class Watchdog extends BasePeripheral {
     return this.enabled && (this.tick & TICK_ENABLE) !== 0;
   }
 
-  /** Length of a tick: CYCLES of clk_ref (datasheet 4.7.2). */
+  /** Length of a tick: CYCLES of clk_ref (datasheet 4.7, tick). */
   get tickNs() {
     const { rp2040 } = this;
     return ((this.tick & 0x1ff || 1) * 1e9) / (rp2040.clocks.refFreq || rp2040.xoscFreq);

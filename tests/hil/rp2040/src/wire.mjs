@@ -33,7 +33,12 @@ export class Delimiter {
     if (this.bytes.length === 0) this.startNs = startNs;
     this.bytes.push(byte);
     if (byte !== 0) return null;
-    const event = { port: this.port, bytes: Buffer.from(this.bytes).toString('hex'), start_ns: this.startNs, end_ns: endNs };
+    const event = {
+      port: this.port,
+      bytes: Buffer.from(this.bytes).toString('hex'),
+      start_ns: this.startNs,
+      end_ns: endNs,
+    };
     this.bytes = [];
     return event;
   }
@@ -92,7 +97,10 @@ export class Line {
 
 /** A line that ends at a chip's UART. */
 export class LineToChip extends Line {
-  /** @param {Chip} chip @param {number} uart @param {number} delayNs @param {Faults | null} faults @param {number} direction */
+  /**
+   * @param {Chip} chip @param {number} uart
+   * @param {number} delayNs @param {Faults | null} faults @param {number} direction
+   */
   constructor(chip, uart, delayNs, faults, direction) {
     super(delayNs, faults, direction);
     this.chip = chip;
@@ -115,7 +123,7 @@ export class LineToChip extends Line {
   /** @param {Frame} frame */
   frame(frame) {
     const { chip } = this;
-    if (!chip.isOn) {
+    if (!chip.isOn || frame.startNs + this.delayNs < chip.bootNs) {
       this.bytes++;
       return;
     }
@@ -128,7 +136,8 @@ export class LineToChip extends Line {
   }
 
   #arm() {
-    if (this.queue.length > 0) this.alarm.scheduleAt(Math.max(this.chip.toLocal(this.queue[0].dueNs), this.chip.clock.nanos));
+    if (this.queue.length > 0)
+      this.alarm.scheduleAt(Math.max(this.chip.toLocal(this.queue[0].dueNs), this.chip.clock.nanos));
   }
 
   #arrive() {
@@ -268,7 +277,10 @@ export class Wire {
   }
 }
 
-/** Leads a UART's transmitter into a line, now and after each boot. @param {Chip} chip @param {number} uart @param {Line} line */
+/**
+ * Leads a UART's transmitter into a line, now and after each boot.
+ * @param {Chip} chip @param {number} uart @param {Line} line
+ */
 function connect(chip, uart, line) {
   const attach = () => {
     chip.uarts[uart].onFrame = (frame) =>

@@ -66,13 +66,19 @@ export class World {
     return [chip, uart];
   }
 
-  /** @param {string} name @param {End} a @param {End} b @param {number} delayNs @param {import('./wire.mjs').Faults | null} faults */
+  /**
+   * @param {string} name @param {End} a @param {End} b
+   * @param {number} delayNs @param {import('./wire.mjs').Faults | null} faults
+   */
   addWire(name, a, b, delayNs, faults) {
     this.#nameLine(name);
     this.wires.set(name, new Wire(name, this.#end(a), this.#end(b), delayNs, faults));
   }
 
-  /** @param {string} name @param {End} to @param {number} baud @param {number} delayNs @param {import('./wire.mjs').Faults | null} faults */
+  /**
+   * @param {string} name @param {End} to @param {number} baud
+   * @param {number} delayNs @param {import('./wire.mjs').Faults | null} faults
+   */
   addPort(name, to, baud, delayNs, faults) {
     this.#nameLine(name);
     const [chip, uart] = this.#end(to);
@@ -125,7 +131,8 @@ export class World {
 
   /**
    * @param {number} untilNs
-   * @param {boolean} stop at the end of a quantum in which something was received outside or happened to a chip; what taps see stops nothing
+   * @param {boolean} stop at the end of a quantum in which something was received outside or happened to a chip; what
+   *   taps see stops nothing
    */
   run(untilNs, stop) {
     while (this.nowNs < untilNs) {

@@ -38,7 +38,9 @@ function source(seed) {
   const flags = () => [0, 1, 2, 3].map(() => below(2) === 1);
   /** Any values, or (for memory) even registers as bases and odd ones as small offsets, all in the data. */
   const registers = (/** @type {boolean} */ forMemory) => {
-    const low = Array.from({ length: 8 }, (_, i) => (!forMemory ? word() : i % 2 ? 4 * below(64) : DATA + 0x100 + 4 * below(64)));
+    const low = Array.from({ length: 8 }, (_, i) =>
+      !forMemory ? word() : i % 2 ? 4 * below(64) : DATA + 0x100 + 4 * below(64),
+    );
     return [...low, ...Array.from({ length: 5 }, word), DATA + 0x400, CODE + 0x101, CODE];
   };
   return { below, flags, registers };
@@ -57,17 +59,41 @@ const KINDS = [
     make: (/** @type {number} */ x) => 0x4000 | ([0, 1, 8, 9, 10, 11, 12, 13, 14, 15][(x >> 6) % 10] << 6) | (x & 0x3f),
   },
   // Neither the SP nor the PC as a target, which are tested by running code.
-  { name: 'high registers', memory: false, make: (/** @type {number} */ x) => 0x4400 + (x % 0x300 & 0x37f) },
-  { name: 'literals and ADR', memory: false, make: (/** @type {number} */ x) => (x & 1 ? 0x4800 : 0xa000) | (x & 0x7ff) },
-  { name: 'by registers', memory: true, make: (/** @type {number} */ x) => 0x5000 | (x & 0xe07) | (even(x >> 3) << 3) | ((even(x >> 6) | 1) << 6) },
-  { name: 'by an immediate', memory: true, make: (/** @type {number} */ x) => 0x6000 + ((x % 0x3000) & ~0x38) + (even(x >> 3) << 3) },
+  { name: 'high registers', memory: false, make: (/** @type {number} */ x) => 0x4400 + ((x % 0x300) & 0x37f) },
+  {
+    name: 'literals and ADR',
+    memory: false,
+    make: (/** @type {number} */ x) => (x & 1 ? 0x4800 : 0xa000) | (x & 0x7ff),
+  },
+  {
+    name: 'by registers',
+    memory: true,
+    make: (/** @type {number} */ x) => 0x5000 | (x & 0xe07) | (even(x >> 3) << 3) | ((even(x >> 6) | 1) << 6),
+  },
+  {
+    name: 'by an immediate',
+    memory: true,
+    make: (/** @type {number} */ x) => 0x6000 + ((x % 0x3000) & ~0x38) + (even(x >> 3) << 3),
+  },
   { name: 'by the SP', memory: true, make: (/** @type {number} */ x) => 0x9000 | (x & 0xf7f) },
-  { name: 'the SP itself', memory: true, make: (/** @type {number} */ x) => (x & 0x100 ? 0xb000 | (x & 0xff) : 0xa800 | (x & 0x7ff)) },
+  {
+    name: 'the SP itself',
+    memory: true,
+    make: (/** @type {number} */ x) => (x & 0x100 ? 0xb000 | (x & 0xff) : 0xa800 | (x & 0x7ff)),
+  },
   { name: 'extend', memory: false, make: (/** @type {number} */ x) => 0xb200 | (x & 0xff) },
-  { name: 'reverse', memory: false, make: (/** @type {number} */ x) => 0xba00 | ([0, 1, 3][(x >> 6) % 3] << 6) | (x & 0x3f) },
+  {
+    name: 'reverse',
+    memory: false,
+    make: (/** @type {number} */ x) => 0xba00 | ([0, 1, 3][(x >> 6) % 3] << 6) | (x & 0x3f),
+  },
   { name: 'push and pop', memory: true, make: (/** @type {number} */ x) => (x & 0x800 ? 0xb400 : 0xbc00) | (x & 0xff) },
-  // STM with its base in the list writes back all the same (ARMv6-M ARM, STM); the package does not. The base is left out here.
-  { name: 'multiple', memory: true, make: (/** @type {number} */ x) => 0xc000 | (x & 0x8ff & ~(1 << even(x >> 8))) | (even(x >> 8) << 8) },
+  // STM with its base in the list is tested apart.
+  {
+    name: 'multiple',
+    memory: true,
+    make: (/** @type {number} */ x) => 0xc000 | (x & 0x8ff & ~(1 << even(x >> 8))) | (even(x >> 8) << 8),
+  },
   { name: 'conditional branches', memory: false, make: (/** @type {number} */ x) => 0xd000 | (x % 0xe00) },
   { name: 'branches', memory: false, make: (/** @type {number} */ x) => 0xe000 | (x & 0x7ff) },
 ];
@@ -130,7 +156,11 @@ test('ADCS and SBCS: all four flags', () => {
     const { r, flags: after } = run([isSubtract ? 0x4188 : 0x4148], before, state, false);
     const { result, c, v } = addWithCarry(before[0], isSubtract ? ~before[1] : before[1], state[2]);
     assert.equal(r[0], result);
-    assert.deepEqual(after, [result >= 0x80000000, result === 0, c, v], `${before[0].toString(16)}, ${before[1].toString(16)}`);
+    assert.deepEqual(
+      after,
+      [result >= 0x80000000, result === 0, c, v],
+      `${before[0].toString(16)}, ${before[1].toString(16)}`,
+    );
   }
 });
 
@@ -159,14 +189,28 @@ test('shifts by a register: the low byte counts, 0 leaves the carry, 32 and more
     const expected = Number(BigInt.asUintN(32, result));
     const { r, flags: after } = run([[0x4088, 0x40c8, 0x4108, 0x41c8][kind]], before, state, false);
     assert.equal(r[0], expected, `kind ${kind}: ${before[0].toString(16)} by ${count}`);
-    assert.deepEqual(after, [expected >= 0x80000000, expected === 0, carry, state[3]], `kind ${kind}: ${before[0].toString(16)} by ${count}`);
+    assert.deepEqual(
+      after,
+      [expected >= 0x80000000, expected === 0, carry, state[3]],
+      `kind ${kind}: ${before[0].toString(16)} by ${count}`,
+    );
   }
 });
 
 test('cycles of the Cortex-M0+ TRM where the package counts others: PUSH with LR 1 + N', () => {
   const { run } = bench();
   const { registers } = source(5);
-  for (const [opcode, cycles] of [[0xb500, 2], [0xb510, 3], [0xb5ff, 10], [0xb4ff, 9], [0xbcff, 9]]) {
-    assert.equal(run([opcode], registers(true), [false, false, false, false], false).cycles, cycles, opcode.toString(16));
+  for (const [opcode, cycles] of [
+    [0xb500, 2],
+    [0xb510, 3],
+    [0xb5ff, 10],
+    [0xb4ff, 9],
+    [0xbcff, 9],
+  ]) {
+    assert.equal(
+      run([opcode], registers(true), [false, false, false, false], false).cycles,
+      cycles,
+      opcode.toString(16),
+    );
   }
 });

@@ -63,7 +63,14 @@ function access(chip) {
     write(UARTDMACR, 3);
     return chip.uarts[0];
   };
-  return { write, read, channel, uart, sram: rp.sram, word: (/** @type {number} */ a) => rp.sramView.getUint32(a - RAM, true) };
+  return {
+    write,
+    read,
+    channel,
+    uart,
+    sram: rp.sram,
+    word: (/** @type {number} */ a) => rp.sramView.getUint32(a - RAM, true),
+  };
 }
 
 function open() {
@@ -87,15 +94,21 @@ test('an unpaced copy of words ends with its interrupt, after a few cycles a tra
   chip.clock.advanceTo(start + (ISSUE_CYCLES + 15) * CYCLE_NS);
   assert.equal(read(INTR), 0);
   chip.clock.advanceTo(start + (ISSUE_CYCLES + 16) * CYCLE_NS);
-  assert.deepEqual([...sram.subarray(0x100, 0x140)], Array.from({ length: 64 }, (_, i) => i));
+  assert.deepEqual(
+    [...sram.subarray(0x100, 0x140)],
+    Array.from({ length: 64 }, (_, i) => i),
+  );
   assert.equal(read(INTS0), 1 << 2);
   assert.equal(read(DMA + 0x80 + CTRL_TRIG) & BUSY, 0);
-  assert.deepEqual([read(DMA + 0x80 + READ), read(DMA + 0x80 + WRITE), read(DMA + 0x80 + COUNT)], [RAM + 64, RAM + 0x140, 0]);
+  assert.deepEqual(
+    [read(DMA + 0x80 + READ), read(DMA + 0x80 + WRITE), read(DMA + 0x80 + COUNT)],
+    [RAM + 64, RAM + 0x140, 0],
+  );
   write(INTS0, 1 << 2);
   assert.equal(read(INTR), 0);
 });
 
-test('byte swap works on halfwords and words (datasheet 2.5.7, CTRL.BSWAP)', () => {
+test('byte swap works on halfwords and words (datasheet 2.5, CTRL.BSWAP)', () => {
   const { chip, channel, sram, write } = open();
   sram.set([1, 2, 3, 4]);
   channel(0, [RAM, RAM + 16, 1, EN | WORD | BSWAP | ALWAYS]);
@@ -106,7 +119,7 @@ test('byte swap works on halfwords and words (datasheet 2.5.7, CTRL.BSWAP)', () 
   assert.deepEqual([...sram.subarray(32, 36)], [2, 1, 4, 3]);
 });
 
-test('a null trigger raises the interrupt of a quiet channel and starts nothing (datasheet 2.5.2)', () => {
+test('a null trigger raises the interrupt of a quiet channel and starts nothing (datasheet 2.5, triggers)', () => {
   const { channel, read, write } = open();
   channel(4, [RAM, RAM, 1, EN | QUIET | ALWAYS | chain(4)]);
   write(DMA + 0x100 + AL3_READ_TRIG, 0);
@@ -114,7 +127,7 @@ test('a null trigger raises the interrupt of a quiet channel and starts nothing 
   assert.equal(read(DMA + 0x100 + CTRL_TRIG) & BUSY, 0);
 });
 
-test('abort ends a transfer without an interrupt (datasheet 2.5.5)', () => {
+test('abort ends a transfer without an interrupt (datasheet 2.5)', () => {
   const { chip, channel, read, word, write } = open();
   channel(0, [RAM, RAM + 64, 1000, EN | WORD | INCR_WRITE | ALWAYS]);
   write(MULTI, 1);
@@ -128,7 +141,7 @@ test('abort ends a transfer without an interrupt (datasheet 2.5.5)', () => {
   assert.equal(word(RAM), 0);
 });
 
-test('a pacing timer spaces transfers by Y / X cycles (datasheet 2.5.5)', () => {
+test('a pacing timer spaces transfers by Y / X cycles (datasheet 2.5)', () => {
   const { chip, channel, read, write } = open();
   write(TIMER0, (1 << 16) | 125);
   channel(0, [RAM, RAM + 64, 10, EN | treq(0x3b)]);
@@ -154,7 +167,7 @@ test('a PWM wrap is one request', () => {
   assert.equal(read(INTR), 1);
 });
 
-test('a bus error stops the channel and is kept until it is cleared (datasheet 2.5.7, CTRL.AHB_ERROR)', () => {
+test('a bus error stops the channel and is kept until it is cleared (datasheet 2.5, CTRL.AHB_ERROR)', () => {
   const { chip, channel, events, read, write } = open();
   channel(0, [0x30000000, RAM, 1, EN | WORD | ALWAYS]);
   write(MULTI, 1);
@@ -166,8 +179,11 @@ test('a bus error stops the channel and is kept until it is cleared (datasheet 2
   assert.equal(read(DMA + CTRL_TRIG) >>> 29, 0);
 });
 
-/** Sets up the receive path: a byte from the UART into a ring of 64, then a stamp into a ring of 64 words, and so on. */
-function receivePath(/** @type {ReturnType<typeof access>} */ { channel, uart, write }, /** @type {number} */ stampFrom) {
+/** The receive path: a byte from the UART into a ring of 64, then a stamp into a ring of 64 words, and so on. */
+function receivePath(
+  /** @type {ReturnType<typeof access>} */ { channel, uart, write },
+  /** @type {number} */ stampFrom,
+) {
   uart();
   const bytes = RAM + 0x400;
   const stamps = RAM + 0x800;
@@ -232,8 +248,16 @@ test('receive: bytes that waited in the FIFO come out in order with a stamp each
 });
 
 test('receive: the interrupt wakes a sleeping core for each byte', () => {
-  const program = new Program().poke(0xe000e100, 1 << 12).label('end').op(WFI).branch('end');
-  program.handler(16 + 12).poke(INTS1, 1).load(0, RAM).op(ldr(1, 0), adds(1, 1), str(1, 0), BX_LR);
+  const program = new Program()
+    .poke(0xe000e100, 1 << 12)
+    .label('end')
+    .op(WFI)
+    .branch('end');
+  program
+    .handler(16 + 12)
+    .poke(INTS1, 1)
+    .load(0, RAM)
+    .op(ldr(1, 0), adds(1, 1), str(1, 0), BX_LR);
   const { chip, word } = program.chip();
   chip.runTo(2_000);
   const opened = access(chip);
@@ -267,13 +291,16 @@ test('transmit: memory to UARTDR at the pace of the line, then the interrupt', (
   chip.clock.advanceTo(start + 68 * 10 * BIT_NS);
   assert.equal(read(INTS0), 1 << 5);
   chip.clock.advanceTo(start + 102 * 10 * BIT_NS);
-  assert.deepEqual(frames.map((f) => f.data), data);
+  assert.deepEqual(
+    frames.map((f) => f.data),
+    data,
+  );
   for (let i = 1; i < 100; i++) {
     assert.ok(Math.abs(frames[i].startNs - frames[i - 1].startNs - 10 * BIT_NS) < 1e-6, 'without a gap');
   }
 });
 
-test('interrupts of both lines are masked and forced apart (datasheet 2.5.4)', () => {
+test('interrupts of both lines are masked and forced apart (datasheet 2.5, interrupts)', () => {
   const { chip, channel, read, write } = open();
   channel(0, [RAM, RAM + 4, 1, EN | ALWAYS]);
   channel(1, [RAM, RAM + 4, 1, EN | ALWAYS | chain(1)]);

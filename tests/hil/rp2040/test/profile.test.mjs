@@ -21,7 +21,11 @@ const of = (report, irq) => {
 
 test('own cycles leave out what preempted, the span does not', () => {
   const program = new Program().poke(0xe000e418, 0x00408000).poke(0xe000e100, (1 << LOW) | (1 << HIGH));
-  program.poke(ISPR, 1 << LOW).label('end').op(WFI).branch('end');
+  program
+    .poke(ISPR, 1 << LOW)
+    .label('end')
+    .op(WFI)
+    .branch('end');
   program.handler(16 + LOW).poke(ISPR, 1 << HIGH);
   spin(program, 'low', 40).op(BX_LR);
   program.handler(16 + HIGH);
@@ -33,14 +37,20 @@ test('own cycles leave out what preempted, the span does not', () => {
   const low = of(report, LOW);
   // Entry 15, the loop, BX 2, return 12.
   const highCycles = 15 + spinCycles(100) + 2 + 12;
-  assert.deepEqual([high.count, high.cycles_max, high.cycles_total, high.span_cycles_max], [1, highCycles, highCycles, highCycles]);
+  assert.deepEqual(
+    [high.count, high.cycles_max, high.cycles_total, high.span_cycles_max],
+    [1, highCycles, highCycles, highCycles],
+  );
   // The two literals 2 + 2 and the STR 2 besides.
   const lowCycles = 15 + 6 + spinCycles(40) + 2 + 12;
   assert.deepEqual([low.count, low.cycles_max, low.span_cycles_max], [1, lowCycles, lowCycles + highCycles]);
 });
 
 test('latency counts from pended and enabled to the first instruction, masked time included', () => {
-  const program = new Program().poke(0xe000e100, 1 << LOW).op(CPSID).poke(ISPR, 1 << LOW);
+  const program = new Program()
+    .poke(0xe000e100, 1 << LOW)
+    .op(CPSID)
+    .poke(ISPR, 1 << LOW);
   spin(program, 'masked', 50).op(CPSIE, NOP).label('end').op(WFI).branch('end');
   program.handler(16 + LOW).op(BX_LR);
   const { chip } = program.chip();
@@ -70,8 +80,18 @@ test('sleep and work make up the time; a reset of the profile forgets', () => {
 
 test('the wait of a received byte is from its arrival to its being read', () => {
   const uart = 0x40034000;
-  const program = new Program().poke(uart + 0x24, 2).poke(uart + 0x2c, 0x70).poke(uart + 0x30, 0x301);
-  program.label('spin').load(0, RAM).op(ldr(1, 0), 0x2900).branch('spin', 'eq').load(0, uart).op(ldr(1, 0)).keep(RAM + 4, 1);
+  const program = new Program()
+    .poke(uart + 0x24, 2)
+    .poke(uart + 0x2c, 0x70)
+    .poke(uart + 0x30, 0x301);
+  program
+    .label('spin')
+    .load(0, RAM)
+    .op(ldr(1, 0), 0x2900)
+    .branch('spin', 'eq')
+    .load(0, uart)
+    .op(ldr(1, 0))
+    .keep(RAM + 4, 1);
   program.label('end').op(WFI).branch('end');
   const { chip } = program.chip();
   chip.runTo(5_000);

@@ -15,7 +15,10 @@ const mov = (/** @type {number} */ rd, /** @type {number} */ rm) => (rm << 3) | 
 
 /** Looks a code up as rp2040-hal does; the function's address is in r0 then. Uses r0 to r3. */
 const lookup = (/** @type {Program} */ program, /** @type {string} */ code, table = 0x14) =>
-  program.op(movs(0, table), ldrh(0, 0)).load(1, code.charCodeAt(0) | (code.charCodeAt(1) << 8)).op(movs(3, 0x18), ldrh(3, 3), blx(3));
+  program
+    .op(movs(0, table), ldrh(0, 0))
+    .load(1, code.charCodeAt(0) | (code.charCodeAt(1) << 8))
+    .op(movs(3, 0x18), ldrh(3, 3), blx(3));
 
 /** Calls a ROM function. @param {Program} program @param {string} code @param {number[]} parameters */
 function call(program, code, ...parameters) {
@@ -24,19 +27,31 @@ function call(program, code, ...parameters) {
   return program.op(blx(4));
 }
 
-const finish = (/** @type {Program} */ program) => program.poke(RAM + 0x40, 1).label('end').op(WFI).branch('end');
+const finish = (/** @type {Program} */ program) =>
+  program
+    .poke(RAM + 0x40, 1)
+    .label('end')
+    .op(WFI)
+    .branch('end');
 
 test('the ROM has its magic, version and tables where the datasheet says (2.8.3)', () => {
   const { chip } = idle().chip();
-  assert.deepEqual([0x10, 0x11, 0x12].map((a) => chip.rp.readUint8(a)), [0x4d, 0x75, 1]);
+  assert.deepEqual(
+    [0x10, 0x11, 0x12].map((a) => chip.rp.readUint8(a)),
+    [0x4d, 0x75, 1],
+  );
   assert.ok(chip.rp.readUint8(0x13) >= 1);
 });
 
 test('rom_table_lookup finds what there is and returns 0 for what is not (2.8.3)', () => {
   const program = new Program();
   lookup(program, 'RE').op(mov(5, 0)).keep(RAM, 5);
-  lookup(program, 'zz').op(mov(5, 0)).keep(RAM + 4, 5);
-  lookup(program, 'SF', 0x16).op(mov(5, 0)).keep(RAM + 8, 5);
+  lookup(program, 'zz')
+    .op(mov(5, 0))
+    .keep(RAM + 4, 5);
+  lookup(program, 'SF', 0x16)
+    .op(mov(5, 0))
+    .keep(RAM + 8, 5);
   const { chip, events, word } = finish(program).chip();
   chip.rp.sramView.setUint32(4, 7, true);
   chip.rp.sramView.setUint32(8, 7, true);
@@ -51,15 +66,25 @@ test('memory and bit functions do their work', () => {
   const program = new Program();
   call(program, 'C4', RAM + 0x100, RAM + 0x80, 8);
   call(program, 'MS', RAM + 0x110, 0xab, 3);
-  for (const [i, [code, value]] of Object.entries([['P3', 0xf0f00001], ['L3', 0x00010000], ['T3', 0x00010000], ['R3', 1]])) {
-    call(program, String(code), Number(value)).op(mov(5, 0)).keep(RAM + 4 * Number(i), 5);
+  for (const [i, [code, value]] of Object.entries([
+    ['P3', 0xf0f00001],
+    ['L3', 0x00010000],
+    ['T3', 0x00010000],
+    ['R3', 1],
+  ])) {
+    call(program, String(code), Number(value))
+      .op(mov(5, 0))
+      .keep(RAM + 4 * Number(i), 5);
   }
   const { chip, word } = finish(program).chip();
   chip.sram.set([1, 2, 3, 4, 5, 6, 7, 8], 0x80);
   chip.runTo(50_000);
   assert.deepEqual([...chip.sram.subarray(0x100, 0x108)], [1, 2, 3, 4, 5, 6, 7, 8]);
   assert.deepEqual([...chip.sram.subarray(0x110, 0x114)], [0xab, 0xab, 0xab, 0]);
-  assert.deepEqual([0, 4, 8, 12].map((o) => word(RAM + o)), [9, 15, 16, 0x80000000]);
+  assert.deepEqual(
+    [0, 4, 8, 12].map((o) => word(RAM + o)),
+    [9, 15, 16, 0x80000000],
+  );
 });
 
 /** A program in RAM that erases `count` bytes at 1 MiB and programs a page from RAM + 0x200. */
@@ -69,7 +94,10 @@ function rewrite(/** @type {Program} */ program, count = 4096, block = 0x8000000
   program.poke(RAM + 0x44, 1);
   call(program, 'RP', 0x100000, RAM + 0x200, 256);
   for (const code of ['FC', 'CX']) call(program, code);
-  program.load(2, 0x10100000).op(ldr(2, 2)).keep(RAM + 0x48, 2);
+  program
+    .load(2, 0x10100000)
+    .op(ldr(2, 2))
+    .keep(RAM + 0x48, 2);
   return finish(program);
 }
 
@@ -107,11 +135,22 @@ test('a 64 KiB block takes 150 ms where the caller allows block erase', () => {
 test('interrupts are taken during an erase if their code is in RAM', () => {
   // TIMER alarm 0 each millisecond: the handler acknowledges, counts and sets the next.
   const timer = 0x40054000;
-  const program = new Program(CODE).poke(timer + 0x38, 1).poke(timer + 0x10, 1000).poke(0xe000ed08, RAM + 0x2000);
+  const program = new Program(CODE)
+    .poke(timer + 0x38, 1)
+    .poke(timer + 0x10, 1000)
+    .poke(0xe000ed08, RAM + 0x2000);
   program.poke(0xe000e100, 1);
   rewrite(program);
-  program.handler(16).poke(timer + 0x34, 1).load(0, RAM).op(ldr(1, 0), adds(1, 1), str(1, 0));
-  program.load(0, timer + 0x10).op(ldr(1, 0)).load(2, 1000).op(0x1889, str(1, 0), BX_LR);
+  program
+    .handler(16)
+    .poke(timer + 0x34, 1)
+    .load(0, RAM)
+    .op(ldr(1, 0), adds(1, 1), str(1, 0));
+  program
+    .load(0, timer + 0x10)
+    .op(ldr(1, 0))
+    .load(2, 1000)
+    .op(0x1889, str(1, 0), BX_LR);
   const { chip, events, word } = program.chip();
   chip.rp.sramView.setUint32(0x2000 + 4 * 16, program.address('exception 16') | 1, true);
   chip.runTo(45.02e6);

@@ -20,9 +20,23 @@ let elf = '';
 function echoImage() {
   const program = new Program();
   program.poke(0x40008030, 2).poke(0x40008048, 1 << 11);
-  program.poke(UART0 + 0x24, 1).poke(UART0 + 0x28, 0).poke(UART0 + 0x2c, 0x60).poke(UART0 + 0x30, 0x301);
-  program.poke(UART0 + 0x38, 0x10).poke(0xe000e100, 1 << 20).label('end').op(WFI).branch('end');
-  program.handler(16 + 20).load(0, UART0).op(ldr(1, 0), str(1, 0)).load(0, RAM + 0x20).op(str(1, 0), BX_LR);
+  program
+    .poke(UART0 + 0x24, 1)
+    .poke(UART0 + 0x28, 0)
+    .poke(UART0 + 0x2c, 0x60)
+    .poke(UART0 + 0x30, 0x301);
+  program
+    .poke(UART0 + 0x38, 0x10)
+    .poke(0xe000e100, 1 << 20)
+    .label('end')
+    .op(WFI)
+    .branch('end');
+  program
+    .handler(16 + 20)
+    .load(0, UART0)
+    .op(ldr(1, 0), str(1, 0))
+    .load(0, RAM + 0x20)
+    .op(str(1, 0), BX_LR);
   const image = program.image();
   image.symbols.set('LAST', { address: RAM + 0x20, size: 4 });
   return image;
@@ -53,7 +67,10 @@ async function session(commands) {
 
 test('the ELF reader places segments by their physical address and knows the symbols', () => {
   const { segments, symbols } = readElf(elf);
-  assert.deepEqual(segments.map((s) => s.address), [0x10000100, 0x100001c0]);
+  assert.deepEqual(
+    segments.map((s) => s.address),
+    [0x10000100, 0x100001c0],
+  );
   assert.deepEqual(symbols.get('LAST'), { address: RAM + 0x20, size: 4 });
   writeFileSync(join(folder, 'text'), 'no image');
   assert.throws(() => readElf(join(folder, 'text')), /not an ELF file/);
@@ -61,7 +78,16 @@ test('the ELF reader places segments by their physical address and knows the sym
 
 test('a whole session', async () => {
   const flash = join(folder, 'flash.bin');
-  const chip = { cmd: 'chip', name: 'a', elf, ppm: 10, start_ns: 0, unique_id: 'e661a4d41723262a', flash, straps: { 15: true } };
+  const chip = {
+    cmd: 'chip',
+    name: 'a',
+    elf,
+    ppm: 10,
+    start_ns: 0,
+    unique_id: 'e661a4d41723262a',
+    flash,
+    straps: { 15: true },
+  };
   const answers = await session([
     chip,
     { cmd: 'port', name: 'p', to: ['a', 0], baud: 750_000, delay_ns: 0, faults: null },

@@ -21,11 +21,19 @@ function firstBoot(/** @type {(program: Program) => Program} */ rest) {
   return rest(program).label('end').op(WFI).branch('end').chip();
 }
 
-const select = (/** @type {Program} */ program) => program.poke(PSM_WDSEL, 0x1fffc).poke(CLK_REF_CTRL, 2).poke(TICK, 0x200 | 12);
+const select = (/** @type {Program} */ program) =>
+  program
+    .poke(PSM_WDSEL, 0x1fffc)
+    .poke(CLK_REF_CTRL, 2)
+    .poke(TICK, 0x200 | 12);
 
 test('the timer resets the chip after LOAD / 2 us (E1), keeps RAM and scratch, and says why', () => {
   const { chip, events, word } = firstBoot((program) =>
-    select(program).poke(SCRATCH3, 0xcafe).poke(LOAD, 2 * 5000).poke(CTRL, ENABLE));
+    select(program)
+      .poke(SCRATCH3, 0xcafe)
+      .poke(LOAD, 2 * 5000)
+      .poke(CTRL, ENABLE),
+  );
   chip.runTo(4.99e6);
   assert.deepEqual(events, []);
   chip.runTo(5.1e6);
@@ -35,13 +43,17 @@ test('the timer resets the chip after LOAD / 2 us (E1), keeps RAM and scratch, a
   assert.equal(chip.rp.readUint32(CTRL) & ENABLE, 0, 'stopped by the reset');
   chip.runTo(5.3e6);
   assert.equal(word(RAM), 2);
-  // The RUN pin clears reason and scratch (4.7.4), not RAM.
+  // The RUN pin clears reason and scratch (datasheet 4.7), not RAM.
   chip.reset(chip.now);
   assert.deepEqual([chip.rp.readUint32(REASON), chip.rp.readUint32(SCRATCH3), word(RAM)], [0, 0, 2]);
 });
 
 test('feeding holds it off, and CTRL.TIME runs down by two a microsecond', () => {
-  const { chip, events } = firstBoot((program) => select(program).poke(LOAD, 2 * 1000).poke(CTRL, ENABLE));
+  const { chip, events } = firstBoot((program) =>
+    select(program)
+      .poke(LOAD, 2 * 1000)
+      .poke(CTRL, ENABLE),
+  );
   chip.runTo(600_000);
   const before = chip.rp.readUint32(CTRL) & 0xffffff;
   chip.runTo(700_000);
@@ -53,10 +65,13 @@ test('feeding holds it off, and CTRL.TIME runs down by two a microsecond', () =>
   assert.deepEqual(events, []);
 });
 
-test('CTRL.TRIGGER resets at once, with REASON 2; without a selection in PSM_WDSEL nothing happens (2.13)', () => {
+test('CTRL.TRIGGER resets at once, with REASON 2; without PSM_WDSEL nothing happens (datasheet 2.13)', () => {
   const selected = firstBoot((program) => program.poke(PSM_WDSEL, 0x1fffc).poke(CTRL, TRIGGER));
   selected.chip.runTo(400_000);
-  assert.deepEqual(selected.events.map((e) => [e.event, e.detail]), [['watchdog', 'CTRL.TRIGGER']]);
+  assert.deepEqual(
+    selected.events.map((e) => [e.event, e.detail]),
+    [['watchdog', 'CTRL.TRIGGER']],
+  );
   assert.equal(selected.chip.rp.readUint32(REASON), 2);
   assert.equal(selected.word(RAM), 2);
   const unselected = firstBoot((program) => program.poke(CTRL, TRIGGER));
@@ -65,8 +80,10 @@ test('CTRL.TRIGGER resets at once, with REASON 2; without a selection in PSM_WDS
   assert.equal(unselected.word(RAM), 1);
 });
 
-test('a stopped tick stops the watchdog (4.7.2)', () => {
-  const { chip, events } = firstBoot((program) => program.poke(PSM_WDSEL, 0x1fffc).poke(LOAD, 100).poke(CTRL, ENABLE));
+test('a stopped tick stops the watchdog (datasheet 4.7, tick)', () => {
+  const { chip, events } = firstBoot((program) =>
+    program.poke(PSM_WDSEL, 0x1fffc).poke(TICK, 0).poke(LOAD, 100).poke(CTRL, ENABLE),
+  );
   chip.runTo(1e6);
   assert.deepEqual(events, []);
 });
@@ -87,13 +104,22 @@ test('power off loses RAM and the watchdog memory, and keeps the flash', () => {
   assert.ok(Math.abs(chip.clock.nanos - 10_000) < 200, 'local time starts with the boot');
 });
 
-test('an alarm fires when the counter has reached it, not before (4.6.3)', () => {
+test('an alarm fires when the counter has reached it, not before (datasheet 4.6)', () => {
   // The handler keeps what the counter says and sets the next alarm 7 us after the last, at odd instants.
-  const program = new Program().poke(TIMER + 0x38, 1).poke(TIMER + 0x10, 500).poke(0xe000e100, 1);
+  const program = new Program()
+    .poke(TIMER + 0x38, 1)
+    .poke(TIMER + 0x10, 500)
+    .poke(0xe000e100, 1);
   program.label('end').op(WFI).branch('end');
-  program.handler(16).poke(TIMER + 0x34, 1).load(0, TIMER).op(ldr(2, 0, 0x28), ldr(1, 0, 0x10), 0x1a52);
+  program
+    .handler(16)
+    .poke(TIMER + 0x34, 1)
+    .load(0, TIMER)
+    .op(ldr(2, 0, 0x28), ldr(1, 0, 0x10), 0x1a52);
   // r2 = counter - alarm; keep the smallest and the largest (as numbers of events late and early).
-  program.load(3, RAM).op(ldr(4, 3), 0x18a4, str(4, 3), ldr(4, 3, 4), 0x3401, str(4, 3, 4), adds(1, 7), str(1, 0, 0x10), BX_LR);
+  program
+    .load(3, RAM)
+    .op(ldr(4, 3), 0x18a4, str(4, 3), ldr(4, 3, 4), 0x3401, str(4, 3, 4), adds(1, 7), str(1, 0, 0x10), BX_LR);
   const { chip, word } = program.chip();
   chip.runTo(2e6);
   assert.equal(word(RAM + 4), Math.floor((2000 - 500) / 7) + 1);

@@ -10,12 +10,24 @@ const BIT_NS = (16 * (2 + 39 / 64) * 1e9) / 125e6;
 
 /** UART1 at 2.994 Mbaud with FIFOs off and a receive interrupt. Uses r0 and r1. */
 const openUart = (/** @type {Program} */ program) =>
-  program.poke(UART1 + 0x24, 2).poke(UART1 + 0x28, 39).poke(UART1 + 0x2c, 0x60).poke(UART1 + 0x30, 0x301).poke(UART1 + 0x38, 0x10);
+  program
+    .poke(UART1 + 0x24, 2)
+    .poke(UART1 + 0x28, 39)
+    .poke(UART1 + 0x2c, 0x60)
+    .poke(UART1 + 0x30, 0x301)
+    .poke(UART1 + 0x38, 0x10);
 
 /** Sends each received byte back plus one. */
 function echo() {
-  const program = openUart(new Program()).poke(0xe000e100, 1 << 21).label('end').op(WFI).branch('end');
-  program.handler(16 + 21).load(0, UART1).op(ldr(1, 0), 0x3101, str(1, 0), BX_LR);
+  const program = openUart(new Program())
+    .poke(0xe000e100, 1 << 21)
+    .label('end')
+    .op(WFI)
+    .branch('end');
+  program
+    .handler(16 + 21)
+    .load(0, UART1)
+    .op(ldr(1, 0), 0x3101, str(1, 0), BX_LR);
   return program;
 }
 
@@ -30,7 +42,10 @@ function world(chips) {
   return made;
 }
 
-/** @param {World} made @param {string} name @param {string} chip @param {import('../src/wire.mjs').Faults | null} [faults] */
+/**
+ * @param {World} made @param {string} name @param {string} chip
+ * @param {import('../src/wire.mjs').Faults | null} [faults]
+ */
 function outside(made, name, chip, faults = null, delayNs = 0) {
   made.ports.set(name, new Port(name, made.chip(chip), 1, 1e9 / BIT_NS, delayNs, faults));
 }
@@ -67,7 +82,12 @@ test('bytes without a delimiter stay buffered; queued bytes follow back to back'
 
 test('a wire delays both ways, and drift does not lose a byte', () => {
   // b echoes to a; a holds what it receives in its FIFO.
-  const a = openUart(new Program()).poke(UART1 + 0x2c, 0x70).label('end').op(WFI).branch('end').chip({ ppm: -200 }).chip;
+  const a = openUart(new Program())
+    .poke(UART1 + 0x2c, 0x70)
+    .label('end')
+    .op(WFI)
+    .branch('end')
+    .chip({ ppm: -200 }).chip;
   const b = echo().chip({ ppm: 200, startNs: 3_333 }).chip;
   const made = world({ a, b });
   made.wires.set('w', new Wire('w', [a, 1], [b, 1], 700, null));
@@ -80,13 +100,16 @@ test('a wire delays both ways, and drift does not lose a byte', () => {
     made.run(made.nowNs + 30_000, false);
     echoed.push(a.rp.readUint32(UART1));
   }
-  assert.deepEqual(echoed, Array.from({ length: 20 }, (_, i) => i + 1));
+  assert.deepEqual(
+    echoed,
+    Array.from({ length: 20 }, (_, i) => i + 1),
+  );
   const [ab, ba] = made.wires.get('w')?.lines ?? [];
   assert.deepEqual([ab.bytes, ba.bytes, ab.late, ba.late], [20, 20, 0, 0]);
-  // One more round trip, timed: two characters to the stop bit's middle, twice the delay, and the echo's 22 to 24 cycles.
+  // One more round trip, timed: two characters to the stop bit's middle, twice the delay, and the echo's 23 cycles or so.
   const from = a.now;
   a.rp.writeUint32(UART1, 1);
-  while (uart.rx.length === 0) a.runTo((b.runTo(made.nowNs += 100), made.nowNs));
+  while (uart.rx.length === 0) a.runTo((b.runTo((made.nowNs += 100)), made.nowNs));
   const took = a.toGlobal(uart.rxAt[0]) - from;
   const expected = 2 * (9.5 * BIT_NS + 700) + 23 * 8;
   assert.ok(Math.abs(took - expected) < 20, `${took} against ${expected}`);
@@ -98,7 +121,11 @@ test('the quantum does not change what happens', () => {
     outside(made, 'p', 'a');
     Object.defineProperty(made, 'quantumNs', { get: () => quantum });
     made.run(100_000, false);
-    made.send('p', Uint8Array.from({ length: 200 }, (_, i) => (i % 7 === 6 ? 0xff : i)), 110_000);
+    made.send(
+      'p',
+      Uint8Array.from({ length: 200 }, (_, i) => (i % 7 === 6 ? 0xff : i)),
+      110_000,
+    );
     return made.run(2e6, false).events;
   });
   assert.ok(results[0].length > 20);
@@ -133,6 +160,25 @@ test('faults are counted, seeded and within their rates', () => {
   assert.ok(Math.abs(first.errors_ab - 196) < 70, `${first.errors_ab} wrong`);
   assert.deepEqual(run(7), first);
   assert.notDeepEqual(run(8), first);
+});
+
+test('a tap tells what passes on a wire, both ways, and stops nothing', () => {
+  const a = openUart(new Program()).label('end').op(WFI).branch('end').chip().chip;
+  const made = world({ a, b: echo().chip().chip });
+  made.wires.set('w', new Wire('w', [a, 1], [made.chip('b'), 1], 700, null));
+  made.tap('w');
+  made.run(100_000, false);
+  const from = a.now;
+  a.rp.writeUint32(UART1, 0);
+  a.rp.writeUint32(UART1, 0xff);
+  const { now_ns: now, events } = made.run(200_000, true);
+  assert.equal(now, 200_000);
+  const [ab, ba] = /** @type {import('../src/wire.mjs').PortEvent[]} */ (events);
+  // The echo adds one: 0 comes back as 1, 0xff as the delimiter.
+  assert.deepEqual([ab.port, ab.bytes, ba.port, ba.bytes], ['w:ab', '00', 'w:ba', '0100']);
+  assert.ok(Math.abs(ab.start_ns - from - 700) < 1e-6);
+  assert.ok(Math.abs(ab.end_ns - ab.start_ns - 10 * BIT_NS) < 1e-6);
+  assert.throws(() => made.tap('x'), /no wire "x"/);
 });
 
 test('a cut wire carries nothing, and carries again', () => {
