@@ -102,6 +102,5 @@ const port = new Port('in', world.chip('chip0'), 0, BAUD, 0, null);
 world.ports.set('in', port);
 port.send(new Uint8Array(Math.ceil((1.1 * BAUD) / 10)).fill(0x55), 0);
 measure('one chip with a saturated 3 Mbaud receive by DMA, an interrupt a byte', 1e9, world);
-console.log(
-  `  ${world.chip('chip0').report().uarts[0].rx_bytes} bytes, ${world.chip('chip0').report().uarts[0].overruns} overruns`,
-);
+const [received] = world.chip('chip0').report().uarts;
+console.log(`  ${received.rx_bytes} bytes, ${received.overruns} overruns`);

@@ -1,7 +1,7 @@
 // Executes Thumb instructions: a table of handlers over the package's core, whose registers and exceptions it shares.
 // The package's own interpreter tries some eighty patterns in turn; this one is several times as fast, sets the flags
-// as the manual says, and counts cycles by the Cortex-M0+ TRM's instruction table. What is rare (MRS, MSR, barriers, SVC,
-// BKPT, UDF, most hints) still goes to the package. Encodings and flags: ARMv6-M ARM A6.7, A2.2.1.
+// as the manual says, and counts cycles by the Cortex-M0+ TRM's instruction table. What is rare (MRS, MSR, barriers,
+// SVC, BKPT, UDF, most hints) still goes to the package. Encodings and flags: ARMv6-M ARM A6.7, A2.2.1.
 import { RAM_BYTES } from './bus.mjs';
 
 const RAM = 0x20000000;

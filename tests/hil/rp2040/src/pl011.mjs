@@ -158,7 +158,7 @@ export class Pl011 extends BasePeripheral {
     return 1 + this.dataBits + (this.lcr & LCR_PEN ? 1 : 0) + (this.lcr & LCR_STP2 ? 2 : 1);
   }
 
-  /** From a start bit's edge to the first stop bit's middle, where a character is complete (PL011 TRM, receive logic). */
+  /** From a start bit's edge to the first stop bit's middle, where a character is complete (PL011 TRM). */
   get receiveNs() {
     return (1 + this.dataBits + (this.lcr & LCR_PEN ? 1 : 0) + 0.5) * this.bitNs;
   }

@@ -116,7 +116,7 @@ export class Program {
   /** @param {{ label?: string, condition?: number, rd?: number }} item @param {number} at @param {number} literal */
   #resolve(item, at, literal) {
     if (item.label === undefined) {
-      return 0x4800 | /** @type {number} */ ((item.rd) << 8) | ((literal - ((at + 4) & ~3)) >> 2);
+      return 0x4800 | (Number(item.rd) << 8) | ((literal - ((at + 4) & ~3)) >> 2);
     }
     const offset = (this.address(item.label) - this.base - at - 4) >> 1;
     return item.condition === undefined ? 0xe000 | (offset & 0x7ff) : 0xd000 | (item.condition << 8) | (offset & 0xff);

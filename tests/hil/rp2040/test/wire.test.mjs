@@ -106,7 +106,7 @@ test('a wire delays both ways, and drift does not lose a byte', () => {
   );
   const [ab, ba] = made.wires.get('w')?.lines ?? [];
   assert.deepEqual([ab.bytes, ba.bytes, ab.late, ba.late], [20, 20, 0, 0]);
-  // One more round trip, timed: two characters to the stop bit's middle, twice the delay, and the echo's 23 cycles or so.
+  // One more round trip, timed: two characters to the stop bit's middle, twice the delay, the echo's 23 cycles.
   const from = a.now;
   a.rp.writeUint32(UART1, 1);
   while (uart.rx.length === 0) a.runTo((b.runTo((made.nowNs += 100)), made.nowNs));
