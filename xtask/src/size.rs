@@ -164,8 +164,13 @@ pub(crate) fn read(path: &Path) -> Result<Layout, Error> {
     Layout::parse(&file).map_err(|source| Error::Elf { path: path.to_owned(), source })
 }
 
-/// The builds of `image`, with all its features last, so that this is what is left where Cargo puts it.
+/// The builds of `image`, with all its features last, so that this is what is left where Cargo puts it. An image that is
+/// always a node has this one only.
 fn builds_of(image: &Image) -> Result<Vec<(String, Features)>, ImageError> {
+    let all = ("all".to_owned(), Features::default());
+    if !image.features.contains_key(NODE) {
+        return Ok(vec![all]);
+    }
     let default = image.features.get("default").map_or(&[][..], Vec::as_slice);
     if !default.iter().any(|feature| feature == NODE) {
         return Err(ImageError::NoNode { name: image.name.clone() });
@@ -175,7 +180,7 @@ fn builds_of(image: &Image) -> Result<Vec<(String, Features)>, ImageError> {
     for feature in default.iter().filter(|&feature| feature != NODE && image.features.contains_key(feature)) {
         builds.push((format!("{NODE} + {feature}"), Features::only(&[NODE, feature])));
     }
-    builds.push(("all".to_owned(), Features::default()));
+    builds.push(all);
     Ok(builds)
 }
 
@@ -261,9 +266,11 @@ fn difference(one: u64, other: u64) -> i64 {
     one.cast_signed() - other.cast_signed()
 }
 
-/// The table of one image, its buffers and its goals. Differences are to the node alone.
+/// The table of one image, its buffers and its goals. Differences are to the node alone, where it was built.
 fn table(sized: &Sized) -> String {
-    let node = sized.builds.iter().find(|row| row.build == NODE).map(|row| row.sizes.clone()).unwrap_or_default();
+    let node = sized.builds.iter().find(|row| row.build == NODE).map(|row| &row.sizes);
+    let against =
+        |own: u64, other: Option<u64>| other.map_or(String::new(), |other| format!("{:+}", difference(own, other)));
     let width = sized.builds.iter().map(|row| row.build.chars().count()).max().unwrap_or(0);
     let mut text = format!("{} ({}), bytes\n", sized.image, sized.target);
     // Writing to a string cannot fail.
@@ -274,11 +281,11 @@ fn table(sized: &Sized) -> String {
         "", head.0, head.1, head.2, head.3, head.4, head.5
     );
     for Row { build, sizes } in &sized.builds {
-        let flash = difference(sizes.flash_bytes, node.flash_bytes);
-        let ram = difference(sizes.ram_bytes, node.ram_bytes);
+        let flash = against(sizes.flash_bytes, node.map(|node| node.flash_bytes));
+        let ram = against(sizes.ram_bytes, node.map(|node| node.ram_bytes));
         let _ = writeln!(
             text,
-            "{build:width$} {:>9} {flash:>+8} {:>9} {ram:>+8} {:>9} {:>9}",
+            "{build:width$} {:>9} {flash:>8} {:>9} {ram:>8} {:>9} {:>9}",
             sizes.flash_bytes, sizes.ram_bytes, sizes.buffer_bytes, sizes.ram_code_bytes
         );
     }
@@ -287,6 +294,9 @@ fn table(sized: &Sized) -> String {
     }
     for Largest { bytes, kind, name } in &sized.largest {
         let _ = writeln!(text, "{kind:8} {bytes:>5}  {name}");
+    }
+    if sized.goals.is_empty() {
+        let _ = writeln!(text, "no goal: the image has no feature `{NODE}` that could be left out to compare");
     }
     for Goal { what, bytes, limit_bytes, met } in &sized.goals {
         let met = if *met { "met" } else { "missed" };
@@ -359,6 +369,21 @@ mod tests {
         let expected = Sizes { flash_bytes: 140 + 24 + 16, ram_bytes: 46, buffer_bytes: 84, ram_code_bytes: 12 + 40 };
         assert_eq!(sizes, expected);
         assert_eq!(buffers[0], Buffer { bytes: 64, name: ".uninit.buffers".to_owned() });
+    }
+
+    #[test]
+    fn an_image_that_is_always_a_node_has_one_row_and_no_goals() {
+        let always = Image { features: std::collections::BTreeMap::new(), ..image(&[]) };
+        assert_eq!(builds_of(&always).unwrap(), [("all".to_owned(), Features::default())]);
+        let builds = vec![rows(0, 3500, 200).remove(2)];
+        let (image, target, goals) = ("a".to_owned(), "t".to_owned(), goals(&builds));
+        let expected = "a (t), bytes
+        flash   ± node       RAM   ± node   buffers  RAM code
+all      3500                201                  0         0
+no goal: the image has no feature `node` that could be left out to compare
+";
+        let sized = Sized { image, target, builds, buffers: Vec::new(), goals, largest: Vec::new() };
+        assert_eq!(table(&sized), expected);
     }
 
     fn image(default: &[&str]) -> Image {
