@@ -58,7 +58,7 @@ export class Cpu {
     const { core, ram32, r } = this;
     const frame = (r[SP] - 0x20) & ~4;
     const at = (frame - RAM) >>> 0;
-    if (core.SPSEL !== 0 || at >= RAM_BYTES - 0x20) {
+    if (core.SPSEL !== 0 || at > RAM_BYTES - 0x20) {
       this.exceptions.enter(number);
       return;
     }
@@ -84,7 +84,7 @@ export class Cpu {
     const { core, ram32, r } = this;
     const at = (r[SP] - RAM) >>> 0;
     const mode = excReturn & 0xf;
-    if (core.SPSEL !== 0 || at >= RAM_BYTES - 0x20 || (mode !== 1 && mode !== 9)) {
+    if (core.SPSEL !== 0 || at > RAM_BYTES - 0x20 || (mode !== 1 && mode !== 9)) {
       this.exceptions.leave(excReturn);
       return;
     }
