@@ -6,7 +6,7 @@ import { Flash, FLASH_BYTES } from './flash.mjs';
 import { Machine } from './machine.mjs';
 import { UartCounters } from './pl011.mjs';
 import { Profile } from './profile.mjs';
-import { REASON_TIMER, WatchdogMemory } from './watchdog.mjs';
+import { HAD_POR, HAD_RUN, REASON_TIMER, WatchdogMemory } from './watchdog.mjs';
 
 const RAM = 0x20000000;
 /** Any stage up to the processor's restarts it (datasheet 2.13: each stage waits for the one before). */
@@ -35,7 +35,7 @@ export class Chip {
     this.onEvent = options.onEvent ?? (() => {});
     this.flash = new Flash(options.flashPath ?? null, options.uniqueId ?? '0000000000000000');
     this.sram = new Uint8Array(RAM_BYTES);
-    this.watchdogMemory = new WatchdogMemory();
+    this.watchdogMemory = new WatchdogMemory(HAD_POR);
     this.counters = [new UartCounters(), new UartCounters()];
     this.profile = new Profile();
     /** Called after each boot: lines and USB attach to the new model. @type {(() => void)[]} */
@@ -226,7 +226,7 @@ export class Chip {
   /** The RUN pin: everything but RAM is reset, the watchdog's memory too. @param {number} globalNs */
   reset(globalNs) {
     if (!this.isOn) throw new Error(`chip ${this.name} is off`);
-    this.watchdogMemory = new WatchdogMemory();
+    this.watchdogMemory = new WatchdogMemory(HAD_RUN);
     this.profile.reboot(this.clock.nanos);
     this.#boot(globalNs);
     this.onEvent({ chip: this.name, event: 'reset', detail: 'RUN pin' });
@@ -241,7 +241,7 @@ export class Chip {
     if (this.isOn) throw new Error(`chip ${this.name} is on`);
     this.isOn = true;
     fillWithNoise(this.sram);
-    this.watchdogMemory = new WatchdogMemory();
+    this.watchdogMemory = new WatchdogMemory(HAD_POR);
     this.profile.reboot(this.clock.nanos);
     this.#boot(globalNs);
   }

@@ -5,16 +5,18 @@ import { installBus, XIP } from './bus.mjs';
 import { VirtualClock } from './clock.mjs';
 import { Exceptions } from './core.mjs';
 import { Dma } from './dma.mjs';
-import { mendResets, mendTimerAlarms, stopPio } from './mends.mjs';
+import { mendPwmCounters, mendResets, mendTimerAlarms, stopPio } from './mends.mjs';
 import { Pl011 } from './pl011.mjs';
-import { Ssi } from './ssi.mjs';
-import { Watchdog } from './watchdog.mjs';
+import { Ssi, XipControl } from './ssi.mjs';
+import { ChipReset, Watchdog } from './watchdog.mjs';
 
 /** The vector table behind boot2's 256 bytes. */
 const VECTORS = XIP + 0x100;
 const SSI_PAGE = 0x18000;
 const PSM_PAGE = 0x40010;
 const WATCHDOG_PAGE = 0x40058;
+const CHIP_RESET_PAGE = 0x40064;
+const XIP_CTRL_PAGE = 0x14000;
 const DMA_PAGE = 0x50000;
 const PSM_WDSEL = 0x08;
 const UARTS = [
@@ -64,8 +66,11 @@ export class Machine {
     rp.peripherals[SSI_PAGE] = this.ssi;
     this.watchdog = new Watchdog(rp, parts.watchdogMemory, parts.onWatchdog);
     rp.peripherals[WATCHDOG_PAGE] = this.watchdog;
+    rp.peripherals[CHIP_RESET_PAGE] = new ChipReset(rp, parts.watchdogMemory);
+    rp.peripherals[XIP_CTRL_PAGE] = new XipControl(rp, 'XIP_CTRL');
     this.rom = new BootRom(rp, this.exceptions, parts.flash, this.ssi, parts.onUsbBoot);
     mendTimerAlarms(rp);
+    mendPwmCounters(rp);
     mendResets(rp, this.uarts, this.dma);
     stopPio(rp, (message) => rp.logger.warn('PIO', message));
     for (const [pin, level] of Object.entries(parts.straps)) rp.gpio[Number(pin)].setInputValue(level);

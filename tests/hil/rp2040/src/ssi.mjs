@@ -20,6 +20,11 @@ const SR_TFNF = 1 << 1;
 const SR_TFE = 1 << 2;
 const SR_RFNE = 1 << 3;
 
+const XIP_FLUSH = 0x04;
+const XIP_STAT = 0x08;
+const XIP_FLUSH_READY = 1 << 0;
+const XIP_FIFO_EMPTY = 1 << 1;
+
 const EEPROM_READ = 3;
 /** 8-bit frames, transmit and receive: what the boot ROM's flash_exit_xip leaves. */
 export const CTRLR0_SERIAL = 7 << 16;
@@ -138,5 +143,21 @@ export class Ssi extends BasePeripheral {
       default:
         this.stored.set(offset, value);
     }
+  }
+}
+
+/** Control of the XIP cache (datasheet 2.6.3): there is no cache, so that a flush is always done. */
+export class XipControl extends BasePeripheral {
+  /** @type {number[]} */
+  stored = [3];
+
+  /** @param {number} offset */
+  readUint32(offset) {
+    return offset === XIP_STAT ? XIP_FIFO_EMPTY | XIP_FLUSH_READY : (this.stored[offset >> 2] ?? 0);
+  }
+
+  /** @param {number} offset @param {number} value */
+  writeUint32(offset, value) {
+    if (offset !== XIP_FLUSH) this.stored[offset >> 2] = value;
   }
 }

@@ -16,13 +16,48 @@ const COUNT_MASK = 0xffffff;
 const TICK_RUNNING = 1 << 10;
 const TICK_ENABLE = 1 << 9;
 
+const VREG = 0x00;
+const BROWN_OUT = 0x04;
+const VREG_STABLE = 1 << 12;
+/** CHIP_RESET: power-on or brown-out, and the RUN pin. */
+export const HAD_POR = 1 << 8;
+export const HAD_RUN = 1 << 16;
+
 export const REASON_TIMER = 1;
 export const REASON_FORCE = 2;
 
 /** What outlives a reset by the watchdog: cleared by the RUN pin and at power-on only (datasheet 4.7). */
 export class WatchdogMemory {
+  /** @param {number} chipReset why the chip was reset last: `HAD_POR` or `HAD_RUN` */
+  constructor(chipReset) {
+    this.chipReset = chipReset;
+  }
+
   reason = 0;
   scratch = new Uint32Array(8);
+}
+
+/** Regulator and reset cause (datasheet 2.10); the package answers all ones. Only CHIP_RESET means something here. */
+export class ChipReset extends BasePeripheral {
+  /** @param {import('rp2040js').RP2040} rp @param {WatchdogMemory} memory */
+  constructor(rp, memory) {
+    super(rp, 'VREG_AND_CHIP_RESET');
+    this.memory = memory;
+    this.vreg = 0xb1;
+    this.brownOut = 0x91;
+  }
+
+  /** @param {number} offset */
+  readUint32(offset) {
+    if (offset === VREG) return this.vreg | VREG_STABLE;
+    return offset === BROWN_OUT ? this.brownOut : this.memory.chipReset;
+  }
+
+  /** @param {number} offset @param {number} value */
+  writeUint32(offset, value) {
+    if (offset === VREG) this.vreg = value & 0xf3;
+    else if (offset === BROWN_OUT) this.brownOut = value & 0xf1;
+  }
 }
 
 export class Watchdog extends BasePeripheral {

@@ -1,4 +1,4 @@
-// Watchdog, resets and timer alarms. RP2040 datasheet 4.7, 2.13, 2.12, 4.6; errata RP2040-E1.
+// Watchdog, resets, timer alarms and PWM. RP2040 datasheet 4.7, 2.13, 2.10, 4.6, 4.5; errata RP2040-E1.
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
 import { adds, BX_LR, idle, ldr, Program, RAM, str, WFI } from './program.mjs';
@@ -11,7 +11,9 @@ const SCRATCH3 = WATCHDOG + 0x18;
 const TICK = WATCHDOG + 0x2c;
 const PSM_WDSEL = 0x40010008;
 const CLK_REF_CTRL = 0x40008030;
+const CHIP_RESET = 0x40064008;
 const TIMER = 0x40054000;
+const PWM = 0x40050000;
 const ENABLE = 1 << 30;
 const TRIGGER = 0x80000000;
 
@@ -40,12 +42,14 @@ test('the timer resets the chip after LOAD / 2 us (E1), keeps RAM and scratch, a
   assert.deepEqual(events, [{ chip: 'chip', event: 'watchdog', detail: 'timer' }]);
   assert.equal(chip.rp.readUint32(REASON), 1);
   assert.equal(chip.rp.readUint32(SCRATCH3), 0xcafe);
+  assert.equal(chip.rp.readUint32(CHIP_RESET), 1 << 8, 'HAD_POR, as before');
   assert.equal(chip.rp.readUint32(CTRL) & ENABLE, 0, 'stopped by the reset');
   chip.runTo(5.3e6);
   assert.equal(word(RAM), 2);
   // The RUN pin clears reason and scratch (datasheet 4.7), not RAM.
   chip.reset(chip.now);
   assert.deepEqual([chip.rp.readUint32(REASON), chip.rp.readUint32(SCRATCH3), word(RAM)], [0, 0, 2]);
+  assert.equal(chip.rp.readUint32(CHIP_RESET), 1 << 16, 'HAD_RUN');
 });
 
 test('feeding holds it off, and CTRL.TIME runs down by two a microsecond', () => {
@@ -124,4 +128,33 @@ test('an alarm fires when the counter has reached it, not before (datasheet 4.6)
   chip.runTo(2e6);
   assert.equal(word(RAM + 4), Math.floor((2000 - 500) / 7) + 1);
   assert.equal(word(RAM), 0, 'never early, and late by less than a microsecond');
+});
+
+test('PWM: CTR counts whole periods of the divisor, wraps behind TOP and interrupts there (datasheet 4.5)', () => {
+  const { chip } = idle().chip();
+  const { rp } = chip;
+  rp.writeUint32(PWM + 0x10, 999);
+  rp.writeUint32(PWM + 0x04, 125 << 4);
+  rp.writeUint32(PWM + 0xa8, 1);
+  rp.writeUint32(PWM, 1);
+  const start = chip.clock.nanos;
+  // One count a microsecond.
+  for (const [at, count] of [
+    [0, 0],
+    [999, 0],
+    [1_000, 1],
+    [1_999, 1],
+    [500_600, 500],
+    [999_999, 999],
+    [1_000_000, 0],
+  ]) {
+    chip.clock.advanceTo(start + at);
+    assert.equal(rp.readUint32(PWM + 0x08), count, `after ${at} ns`);
+    assert.equal(rp.readUint32(PWM + 0xb0), at === 1_000_000 ? 1 : 0);
+  }
+  chip.clock.advanceTo(start + 15e6 + 1);
+  rp.writeUint32(PWM + 0xa4, 1);
+  assert.equal(rp.readUint32(PWM + 0xb0), 0);
+  chip.clock.advanceTo(start + 16e6);
+  assert.equal(rp.readUint32(PWM + 0xb0), 1);
 });
