@@ -6,6 +6,11 @@
 //!   on. What waits longest in the record is what a byte would have waited for that came then.
 //! - **Context:** the links' priority, O(1); [`Turns::count`] in the serving task. Clause: `[NOD-08]`.
 //!
+//! QEMU's wires take no time: the bytes of a frame come on end, each as soon as the one before was taken, and leave likewise. So the longest
+//! wait is that behind all interrupts of some frames, where at a real bit rate it would be that behind one byte of each UART. It is an upper
+//! bound, in instruction time with `-icount shift=5`, 32 ns an instruction; without that option it is the host's doing. What is waited
+//! while nothing is served has the emulator's own waking-up in it: judge by the turn of serving.
+//!
 //! The record, words in little-endian:
 //!
 //! | word | what |
