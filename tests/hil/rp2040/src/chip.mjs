@@ -106,7 +106,9 @@ export class Chip {
   #coreEvents() {
     const { profile } = this;
     return {
-      onPend: (/** @type {number} */ irq) => profile.onPend(irq, this.clock.nanos),
+      onPend: (/** @type {number} */ irq, /** @type {boolean} */ isEnabled) =>
+        profile.onPend(irq, isEnabled, this.clock.nanos),
+      onEnable: (/** @type {number} */ irq) => profile.onEnable(irq, this.clock.nanos),
       onEntry: (/** @type {number} */ n) => profile.onEntry(n, this.clock.nanos, ENTRY_CYCLES * this.machine.cycleNs),
       onReturn: () => (this.returned = true),
       onMask: (/** @type {boolean} */ masked) => profile.onMask(masked, this.clock.nanos),

@@ -30,7 +30,8 @@ const AIRCR_SYSRESETREQ = 1 << 2;
 /**
  * What the chip wants to hear of its core.
  * @typedef {object} CoreEvents
- * @property {(irq: number) => void} onPend an enabled interrupt became pending
+ * @property {(irq: number, isEnabled: boolean) => void} onPend an interrupt became pending
+ * @property {(irq: number) => void} onEnable a pending interrupt became enabled
  * @property {(exception: number) => void} onEntry
  * @property {(exception: number) => void} onReturn
  * @property {(masked: boolean) => void} onMask PRIMASK changed
@@ -88,14 +89,17 @@ export class Exceptions {
     const { core } = this;
     const fresh = bits & ~core.pendingInterrupts;
     core.pendingInterrupts |= bits;
-    this.noticed(fresh & core.enabledInterrupts);
+    for (let rest = fresh; rest; rest &= rest - 1) {
+      const irq = 31 - Math.clz32(rest & -rest);
+      this.events.onPend(irq, ((core.enabledInterrupts >>> irq) & 1) === 1);
+    }
+    this.noticed();
   }
 
-  /** @param {number} bits interrupts that have just become pending and enabled */
-  noticed(bits) {
+  /** Something has become pending or enabled. */
+  noticed() {
     const { core } = this;
     core.interruptsUpdated = true;
-    for (let rest = bits; rest; rest &= rest - 1) this.events.onPend(31 - Math.clz32(rest & -rest));
     if (core.waiting && this.wakes()) core.waiting = false;
   }
 
@@ -264,9 +268,10 @@ export class Exceptions {
     ppb.writeUint32 = (offset, value) => {
       switch (offset) {
         case NVIC_ISER: {
-          const fresh = value & ~core.enabledInterrupts;
+          const fresh = value & ~core.enabledInterrupts & core.pendingInterrupts;
           core.enabledInterrupts |= value;
-          this.noticed(fresh & core.pendingInterrupts);
+          for (let rest = fresh; rest; rest &= rest - 1) this.events.onEnable(31 - Math.clz32(rest & -rest));
+          this.noticed();
           return;
         }
         case NVIC_ISPR:

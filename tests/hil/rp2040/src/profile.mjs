@@ -2,7 +2,16 @@
 // Everything is stamped with the chip's local clock at exception entry, return and PRIMASK changes, so that an ordinary
 // instruction costs nothing more.
 
-/** @typedef {{ count: number, ownNsMax: number, ownNsTotal: number, spanNsMax: number, latencyNsMax: number }} Entry */
+/**
+ * Of one exception; times are nanoseconds of the chip's clock.
+ * @typedef {object} Entry
+ * @property {number} count
+ * @property {number} ownNsMax without what preempted
+ * @property {number} ownNsTotal
+ * @property {number} spanNsMax from entry to return
+ * @property {number} latencyNsMax from pended and enabled
+ * @property {number} pendedNsMax from pended
+ */
 
 export class Profile {
   constructor() {
@@ -19,6 +28,8 @@ export class Profile {
     this.stack = [];
     /** When each interrupt became pending and enabled; -1: it is not. */
     this.pendingSinceNs = new Float64Array(32).fill(-1);
+    /** When each became pending, enabled or not. */
+    this.pendedSinceNs = new Float64Array(32).fill(-1);
   }
 
   /** Forgets the figures, but not what is in service. @param {number} now */
@@ -38,18 +49,25 @@ export class Profile {
     this.maskedSinceNs = -1;
     this.stack.length = 0;
     this.pendingSinceNs.fill(-1);
+    this.pendedSinceNs.fill(-1);
   }
 
-  /** @param {number} irq @param {number} now */
-  onPend(irq, now) {
-    if (this.pendingSinceNs[irq] < 0) this.pendingSinceNs[irq] = now;
+  /** @param {number} irq @param {boolean} isEnabled @param {number} now */
+  onPend(irq, isEnabled, now) {
+    this.pendedSinceNs[irq] = now;
+    this.pendingSinceNs[irq] = isEnabled ? now : -1;
+  }
+
+  /** A pending interrupt was enabled. @param {number} irq @param {number} now */
+  onEnable(irq, now) {
+    this.pendingSinceNs[irq] = now;
   }
 
   /** @param {number} number @returns {Entry} */
   #entry(number) {
     let entry = this.entries.get(number);
     if (!entry) {
-      entry = { count: 0, ownNsMax: 0, ownNsTotal: 0, spanNsMax: 0, latencyNsMax: 0 };
+      entry = { count: 0, ownNsMax: 0, ownNsTotal: 0, spanNsMax: 0, latencyNsMax: 0, pendedNsMax: 0 };
       this.entries.set(number, entry);
     }
     return entry;
@@ -59,11 +77,13 @@ export class Profile {
   onEntry(number, now, entryNs) {
     this.stack.push({ number, sinceNs: now, innerNs: 0 });
     if (number < 16) return;
-    const since = this.pendingSinceNs[number - 16];
-    this.pendingSinceNs[number - 16] = -1;
-    if (since < 0) return;
     const entry = this.#entry(number);
-    entry.latencyNsMax = Math.max(entry.latencyNsMax, now + entryNs - since);
+    const since = this.pendingSinceNs[number - 16];
+    const pended = this.pendedSinceNs[number - 16];
+    if (since >= 0) entry.latencyNsMax = Math.max(entry.latencyNsMax, now + entryNs - since);
+    if (pended >= 0) entry.pendedNsMax = Math.max(entry.pendedNsMax, now + entryNs - pended);
+    this.pendingSinceNs[number - 16] = -1;
+    this.pendedSinceNs[number - 16] = -1;
   }
 
   /** @param {number} now after the return's last cycle */
@@ -110,6 +130,7 @@ export class Profile {
           cycles_max: cycles(e.ownNsMax),
           cycles_total: cycles(e.ownNsTotal),
           latency_cycles_max: cycles(e.latencyNsMax),
+          pended_cycles_max: cycles(e.pendedNsMax),
           span_cycles_max: cycles(e.spanNsMax),
         })),
       primask_cycles_max: cycles(Math.max(this.maskedNsMax, masked)),

@@ -62,6 +62,27 @@ test('latency counts from pended and enabled to the first instruction, masked ti
   assert.equal(report.primask_cycles_max, 1 + 4 + 2 + spinCycles(50));
 });
 
+test('time pended while the NVIC has it disabled counts apart, and what was cleared is forgotten', () => {
+  const program = new Program()
+    .poke(ISPR, 1 << LOW)
+    .poke(0xe000e280, 1 << LOW)
+    .poke(ISPR, 1 << LOW);
+  // Locks of RTIC on this core clear and set enables.
+  spin(program, 'disabled', 50)
+    .poke(0xe000e100, 1 << LOW)
+    .label('end')
+    .op(WFI)
+    .branch('end');
+  program.handler(16 + LOW).op(BX_LR);
+  const { chip } = program.chip();
+  chip.runTo(50_000);
+  const low = of(chip.report(), LOW);
+  // Enabled by STR 2, entry 15.
+  assert.equal(low.latency_cycles_max, 2 + 15);
+  // Pended by STR 2, the loop, two literals 4, then as above.
+  assert.equal(low.pended_cycles_max, 2 + spinCycles(50) + 4 + 2 + 15);
+});
+
 test('sleep and work make up the time; a reset of the profile forgets', () => {
   const program = new Program();
   spin(program, 'work', 200).label('end').op(WFI).branch('end');
