@@ -24,7 +24,6 @@
 //! ```
 
 use crate::drops::DropCause;
-use cobs::{DecodeResult, DecoderState};
 use crc::{CRC_16_IBM_3740, CRC_32_ISO_HDLC, Crc, Table};
 use fixed_math::time::LocalTicks;
 use serde::{Deserialize, Serialize};
@@ -136,7 +135,25 @@ impl core::error::Error for FrameError {}
 /// Most bytes a frame of a packet of `packet_len` bytes takes on the wire, delimiter included.
 #[must_use]
 pub const fn encoded_len_max(packet_len: usize, check: Check) -> usize {
-    cobs::max_encoding_length(packet_len + check.len()) + 1
+    let len = packet_len + check.len();
+    len + runs_of(len) + 1
+}
+
+/// Runs of 254 bytes that `len` bytes without a zero take, the last one begun included: `len / 254 + 1`, without dividing where it is
+/// that of a packet on a device, since a Cortex-M0+ divides in software.
+const fn runs_of(len: usize) -> usize {
+    if len < RUN_MAX - 1 {
+        1
+    } else if len < 2 * (RUN_MAX - 1) {
+        2
+    } else {
+        many_runs_of(len)
+    }
+}
+
+#[cold]
+const fn many_runs_of(len: usize) -> usize {
+    len / (RUN_MAX - 1) + 1
 }
 
 /// Writes `packet` as a frame with its delimiter into `out` and returns its length, `[FRM-01]`.
@@ -157,26 +174,129 @@ pub fn encode_parts(parts: &[&[u8]], check: Check, out: &mut [u8]) -> Result<usi
     if out.len() < need {
         return Err(too_small);
     }
-    let mut encoder = cobs::CobsEncoder::new(out);
-    let mut digest16 = CRC16.digest();
-    let mut digest32 = CRC32.digest();
+    let mut framer = Framer::new(check);
     for part in parts {
+        framer.push(part, out);
+    }
+    Ok(framer.finish(out))
+}
+
+/// A check in the making.
+#[derive(Clone)]
+enum Digest {
+    None,
+    Crc16(crc::Digest<'static, u16, Table<1>>),
+    Crc32(crc::Digest<'static, u32, Table<1>>),
+}
+
+impl Digest {
+    fn new(check: Check) -> Self {
         match check {
-            Check::None => {}
-            Check::Crc16 => digest16.update(part),
-            Check::Crc32 => digest32.update(part),
+            Check::None => Self::None,
+            Check::Crc16 => Self::Crc16(CRC16.digest()),
+            Check::Crc32 => Self::Crc32(CRC32.digest()),
         }
-        encoder.push(part).map_err(|_| too_small)?;
     }
-    match check {
-        Check::None => Ok(()),
-        Check::Crc16 => encoder.push(&digest16.finalize().to_le_bytes()),
-        Check::Crc32 => encoder.push(&digest32.finalize().to_le_bytes()),
+
+    fn update(&mut self, bytes: &[u8]) {
+        match self {
+            Self::None => {}
+            Self::Crc16(digest) => digest.update(bytes),
+            Self::Crc32(digest) => digest.update(bytes),
+        }
     }
-    .map_err(|_| too_small)?;
-    let len = encoder.finalize();
-    out[len] = DELIMITER;
-    Ok(len + 1)
+
+    fn value(self) -> u32 {
+        match self {
+            Self::None => 0,
+            Self::Crc16(digest) => u32::from(digest.finalize()),
+            Self::Crc32(digest) => digest.finalize(),
+        }
+    }
+}
+
+/// Makes a frame piece by piece, so that its first bytes can be on the wire while the rest is being made. Decision 6 says why it does
+/// its own stuffing.
+///
+/// ```
+/// use osap_protocol::framing::{Check, Framer};
+///
+/// let mut out = [0; 16];
+/// let mut framer = Framer::new(Check::Crc16);
+/// framer.push(&[5, 0, 7], &mut out);
+/// assert_eq!(framer.settled(), 2); // a run's length is known once the next one begins
+/// assert_eq!(framer.finish(&mut out), 7);
+/// assert_eq!(out[..3], [2, 5, 4]);
+/// ```
+pub struct Framer {
+    digest: Digest,
+    check: Check,
+    /// Where the length of the run in work will stand.
+    code_at: usize,
+    /// Where the next byte goes.
+    at: usize,
+}
+
+impl Framer {
+    /// A frame without bytes yet.
+    #[must_use]
+    pub fn new(check: Check) -> Self {
+        Self { digest: Digest::new(check), check, code_at: 0, at: 1 }
+    }
+
+    /// Adds bytes of the packet to the frame in `out`, the same at each call and at least [`encoded_len_max`] of the whole packet long:
+    /// what finds no place in it is left out.
+    pub fn push(&mut self, bytes: &[u8], out: &mut [u8]) {
+        self.digest.update(bytes);
+        self.stuff(bytes, out);
+    }
+
+    /// Bytes at the start of `out` that stay as they are.
+    #[must_use]
+    pub const fn settled(&self) -> usize {
+        self.code_at
+    }
+
+    /// Adds check and delimiter and returns the frame's length.
+    pub fn finish(mut self, out: &mut [u8]) -> usize {
+        let value = self.digest.clone().value().to_le_bytes();
+        self.stuff(&value[..self.check.len()], out);
+        self.close(out);
+        put(out, self.code_at, DELIMITER);
+        self.code_at + 1
+    }
+
+    fn stuff(&mut self, bytes: &[u8], out: &mut [u8]) {
+        for byte in bytes {
+            // a full run stands for no zero: one that follows is a run of its own
+            if self.at - self.code_at == RUN_MAX {
+                self.close(out);
+            }
+            if *byte == DELIMITER {
+                self.close(out);
+                continue;
+            }
+            put(out, self.at, *byte);
+            self.at += 1;
+        }
+    }
+
+    /// Ends a run: writes its length in front of it.
+    fn close(&mut self, out: &mut [u8]) {
+        let [code, ..] = (self.at - self.code_at).to_le_bytes();
+        put(out, self.code_at, code);
+        self.code_at = self.at;
+        self.at += 1;
+    }
+}
+
+/// The code of a run that is full: 254 bytes and no zero behind them.
+const RUN_MAX: usize = 0xff;
+
+fn put(out: &mut [u8], at: usize, byte: u8) {
+    if let Some(place) = out.get_mut(at) {
+        *place = byte;
+    }
 }
 
 /// Unstuffs one whole frame (with or without its delimiter) into `out`, checks it, and returns the packet's length.
@@ -202,7 +322,7 @@ fn verify(bytes: &[u8], check: Check) -> Result<usize, FrameError> {
     let len = bytes.len();
     let packet_len = len.checked_sub(check.len()).filter(|n| *n > 0).ok_or(FrameError::TooShort { len })?;
     let (packet, trailer) = bytes.split_at(packet_len);
-    let found = trailer.iter().rev().fold(0u32, |value, byte| value << 8 | u32::from(*byte));
+    let found = found_check(trailer);
     let computed = check.of(packet);
     if found == computed { Ok(packet_len) } else { Err(FrameError::Check { computed, found }) }
 }
@@ -216,16 +336,28 @@ pub struct Frame<'a> {
     pub started: LocalTicks,
 }
 
-/// Finds frames in a stream of bytes. `N` is the longest packet plus its check.
-#[derive(Debug)]
+/// Finds frames in a stream of bytes. `N` is the longest packet plus its check. Runs of bytes are unstuffed as they come and checked as
+/// far as they go, so that little is left to do when a frame ends; decision 6 says why it does its own unstuffing.
 pub struct Deframer<const N: usize> {
     buffer: [u8; N],
     len: usize,
-    state: DecoderState,
+    /// Bytes left of the run in work; the next one is a run's length where that is 0.
+    left: u8,
+    /// A zero stands behind the last run, if anything does.
+    zero_due: bool,
+    digest: Digest,
+    /// Bytes that the digest has seen.
+    checked: usize,
     started: LocalTicks,
     idle: bool,
     overflown: bool,
     check: Check,
+}
+
+impl<const N: usize> core::fmt::Debug for Deframer<N> {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.debug_struct("Deframer").field("check", &self.check).field("len", &self.len).finish_non_exhaustive()
+    }
 }
 
 impl<const N: usize> Deframer<N> {
@@ -235,7 +367,10 @@ impl<const N: usize> Deframer<N> {
         Self {
             buffer: [0; N],
             len: 0,
-            state: DecoderState::Idle,
+            left: 0,
+            zero_due: false,
+            digest: Digest::None,
+            checked: 0,
             started: LocalTicks::ZERO,
             idle: true,
             overflown: false,
@@ -245,58 +380,107 @@ impl<const N: usize> Deframer<N> {
 
     /// Forgets a frame begun, as after a link was closed.
     pub fn reset(&mut self) {
-        self.state = DecoderState::Idle;
         self.idle = true;
-    }
-
-    /// Takes a run of bytes that came together, whose first was stamped `at`. Only its last byte may be a delimiter, so that it ends one
-    /// frame at the most.
-    pub fn push_run(&mut self, run: &[u8], at: LocalTicks) -> Option<Result<Frame<'_>, FrameError>> {
-        let (last, before) = run.split_last()?;
-        for byte in before {
-            debug_assert_ne!(*byte, DELIMITER, "a delimiter ends its run");
-            // no frame ends before the last byte; were there a delimiter, its frame would be lost, as a false one is
-            let _none = self.push(*byte, at);
-        }
-        self.push(*last, at)
     }
 
     /// Takes one byte, stamped; at a delimiter, gives the frame it ended or what was wrong with it. Delimiters between frames give
     /// nothing, `[FRM-05]`.
     pub fn push(&mut self, byte: u8, at: LocalTicks) -> Option<Result<Frame<'_>, FrameError>> {
-        if self.idle {
-            if byte == DELIMITER {
-                return None;
-            }
-            self.idle = false;
-            self.overflown = false;
-            self.started = at;
-            self.len = 0;
+        self.push_run(&[byte], at)
+    }
+
+    /// Takes a run of bytes that came together, whose first was stamped `at`. Only its last byte may be a delimiter, so that it ends one
+    /// frame at the most; a delimiter elsewhere is taken for one of the frame's bytes, which its check will find wrong.
+    pub fn push_run(&mut self, run: &[u8], at: LocalTicks) -> Option<Result<Frame<'_>, FrameError>> {
+        let (last, before) = run.split_last()?;
+        let ends = *last == DELIMITER;
+        let body = if ends { before } else { run };
+        if self.idle && !body.is_empty() {
+            self.begin(at);
         }
-        let step = self.state.feed(byte);
-        if byte == DELIMITER {
-            self.idle = true;
+        self.unstuff(body);
+        if !ends {
+            self.check_ahead();
+            return None;
         }
-        match step {
-            Ok(DecodeResult::NoData | DecodeResult::DataStart) => None,
-            Ok(DecodeResult::DataContinue(data)) => {
-                match self.buffer.get_mut(self.len) {
-                    Some(place) => {
-                        *place = data;
-                        self.len += 1;
-                    }
-                    None => self.overflown = true,
+        if core::mem::replace(&mut self.idle, true) { None } else { Some(self.end()) }
+    }
+
+    fn begin(&mut self, at: LocalTicks) {
+        self.idle = false;
+        self.overflown = false;
+        self.started = at;
+        self.len = 0;
+        self.left = 0;
+        self.zero_due = false;
+        self.digest = Digest::new(self.check);
+        self.checked = 0;
+    }
+
+    fn unstuff(&mut self, mut rest: &[u8]) {
+        while let Some((code, after)) = rest.split_first() {
+            if self.left > 0 {
+                let (now, later) = rest.split_at(rest.len().min(usize::from(self.left)));
+                self.append(now);
+                #[expect(clippy::cast_possible_truncation, reason = "at most `left`")]
+                {
+                    self.left -= now.len() as u8;
                 }
-                None
+                rest = later;
+                continue;
             }
-            Ok(DecodeResult::DataComplete) | Err(_) if self.overflown => Some(Err(FrameError::TooLong { limit: N })),
-            Ok(DecodeResult::DataComplete) => Some(match verify(&self.buffer[..self.len], self.check) {
-                Ok(len) => Ok(Frame { packet: &mut self.buffer[..len], started: self.started }),
-                Err(error) => Err(error),
-            }),
-            Err(_) => Some(Err(FrameError::Malformed)),
+            if self.zero_due {
+                self.append(&[0]);
+            }
+            self.left = code.saturating_sub(1);
+            self.zero_due = usize::from(*code) != RUN_MAX;
+            rest = after;
         }
     }
+
+    fn append(&mut self, bytes: &[u8]) {
+        match self.buffer.get_mut(self.len..self.len + bytes.len()) {
+            Some(place) => {
+                place.copy_from_slice(bytes);
+                self.len += bytes.len();
+            }
+            None => self.overflown = true,
+        }
+    }
+
+    /// Digests what cannot be part of the check at the frame's end.
+    fn check_ahead(&mut self) {
+        let sure = self.len.saturating_sub(self.check.len());
+        if let Some(bytes) = self.buffer.get(self.checked..sure) {
+            self.digest.update(bytes);
+            self.checked = sure;
+        }
+    }
+
+    fn end(&mut self) -> Result<Frame<'_>, FrameError> {
+        if self.overflown {
+            return Err(FrameError::TooLong { limit: N });
+        }
+        if self.left > 0 {
+            return Err(FrameError::Malformed);
+        }
+        let len = self.len;
+        let packet_len = len.checked_sub(self.check.len()).filter(|n| *n > 0).ok_or(FrameError::TooShort { len })?;
+        self.check_ahead();
+        let (packet, trailer) = self.buffer[..len].split_at_mut(packet_len);
+        let found = found_check(trailer);
+        let computed = core::mem::replace(&mut self.digest, Digest::None).value();
+        if found == computed {
+            Ok(Frame { packet, started: self.started })
+        } else {
+            Err(FrameError::Check { computed, found })
+        }
+    }
+}
+
+/// The check that stands in a frame, low byte first.
+fn found_check(trailer: &[u8]) -> u32 {
+    trailer.iter().rev().fold(0u32, |value, byte| value << 8 | u32::from(*byte))
 }
 
 #[cfg(test)]
@@ -379,6 +563,32 @@ mod tests {
             prop_assert_eq!(&out[..len], &packet[..]);
             let got = feed(&mut Deframer::<800>::new(check), &frame);
             prop_assert_eq!(got, [Ok((packet, LocalTicks::ZERO))]);
+        }
+
+        /// `[FRM-01]`: byte for byte what the `cobs` crate makes, and unstuffed runs of any lengths give what whole frames do.
+        #[test]
+        fn stuffing_is_that_of_the_reference(
+            packet in proptest::collection::vec(prop_oneof![1 => Just(0u8), 300 => 1u8..], 1..800),
+            cuts in proptest::collection::vec(1usize..300, 1..20),
+        ) {
+            let frame = framed(&packet, Check::None);
+            let mut expected = std::vec![0; cobs::max_encoding_length(packet.len())];
+            let len = cobs::encode(&packet, &mut expected);
+            prop_assert_eq!(&frame[..frame.len() - 1], &expected[..len]);
+            let mut deframer = Deframer::<800>::new(Check::None);
+            let (mut rest, mut cuts) = (&frame[..], cuts.iter().cycle());
+            let mut got = None;
+            while !rest.is_empty() {
+                let (now, later) = rest.split_at(rest.len().min(*cuts.next().unwrap()));
+                got = deframer.push_run(now, LocalTicks::ZERO).map(|frame| frame.map(|frame| frame.packet.to_vec()));
+                rest = later;
+            }
+            prop_assert_eq!(got, Some(Ok(packet)));
+        }
+
+        #[test]
+        fn longest_frames_are_those_of_the_reference(len in 0usize..70_000) {
+            prop_assert_eq!(encoded_len_max(len, Check::None), cobs::max_encoding_length(len).max(1) + 1);
         }
 
         /// `[FRM-03]`: a flipped bit is found. In a data byte it always is; in a code byte it moves a zero, and one such frame in 2^32

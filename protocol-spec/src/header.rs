@@ -73,6 +73,7 @@ pub const SYSTEM_KEY_MAX: u8 = 0x3f;
 impl Instruction {
     /// Bytes an instruction takes, told by the top two bits of its first byte.
     #[must_use]
+    #[inline]
     pub const fn width(first: u8) -> usize {
         match first >> 6 {
             0 | 1 => 1,
@@ -83,6 +84,7 @@ impl Instruction {
 
     /// Reads the instruction at the start of `bytes`; `None` where it is cut short.
     #[must_use]
+    #[inline]
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         let first = *bytes.first()?;
         Some(match first >> 6 {
@@ -98,6 +100,7 @@ impl Instruction {
     }
 
     /// Writes the instruction into the first bytes of `out` and returns how many; a system key is cut to six bits.
+    #[inline]
     pub fn encode(self, out: &mut [u8; 3]) -> usize {
         match self {
             Self::System(key) => out[0] = OPCODE_SYSTEM | (key & SYSTEM_KEY_MAX),
@@ -241,6 +244,7 @@ impl<B: AsRef<[u8]>> Packet<B> {
     ///
     /// # Errors
     /// Any [`HeaderError`] but `NotForwarding`.
+    #[inline]
     pub fn check(bytes: B) -> Result<Self, HeaderError> {
         let raw = bytes.as_ref();
         let len = raw.len();
@@ -257,21 +261,25 @@ impl<B: AsRef<[u8]>> Packet<B> {
     }
 
     /// Offset of the instruction to be carried out here.
+    #[inline]
     pub fn pointer(&self) -> u8 {
         self.bytes()[field::POINTER]
     }
 
     /// Time left when the sender let go of the packet, µs.
+    #[inline]
     pub fn ttl_us(&self) -> u16 {
         u16_at(self.bytes(), field::TTL_US.start)
     }
 
     /// Smallest packet size of the links on the route, bytes.
+    #[inline]
     pub fn mtu_bytes(&self) -> u16 {
         u16_at(self.bytes(), field::MTU_BYTES.start)
     }
 
     /// The instruction to be carried out here.
+    #[inline]
     pub fn instruction(&self) -> Instruction {
         let at = usize::from(self.pointer());
         // whole by the invariant; an unreachable `None` reads as a message nobody serves
@@ -279,6 +287,7 @@ impl<B: AsRef<[u8]>> Packet<B> {
     }
 
     /// Offset of what follows the instruction at the pointer: the transport key of a port, the payload of a system message.
+    #[inline]
     pub fn after_instruction(&self) -> usize {
         let at = usize::from(self.pointer());
         at + Instruction::width(self.bytes()[at])
@@ -295,6 +304,7 @@ impl<B: AsRef<[u8]>> Packet<B> {
     }
 
     /// The steps already taken; after [`Packet::turn_back`], none.
+    #[inline]
     pub fn taken(&self) -> &[u8] {
         self.bytes().get(field::ROUTE..usize::from(self.pointer())).unwrap_or_default()
     }
@@ -302,6 +312,7 @@ impl<B: AsRef<[u8]>> Packet<B> {
 
 impl<B: AsRef<[u8]> + AsMut<[u8]>> Packet<B> {
     /// Writes the time left, µs.
+    #[inline]
     pub fn set_ttl_us(&mut self, ttl_us: u16) {
         self.bytes.as_mut()[field::TTL_US].copy_from_slice(&ttl_us.to_le_bytes());
     }

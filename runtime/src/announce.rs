@@ -9,7 +9,9 @@ use crate::node::Node;
 use fixed_math::time::{LocalTicks, Span};
 use osap_protocol::discovery::{Event, GatewayKind, Neighbour, NeighbourChange, Verbosity};
 use osap_protocol::header::{Arrival, Terminal, emit};
-use osap_protocol::system::{ANNOUNCE_INTERVAL_US, ANNOUNCE_TTL_US, ANNOUNCEMENT_VERSION, Announcement, SystemKey};
+use osap_protocol::system::{
+    ANNOUNCE_INTERVAL_US, ANNOUNCE_TTL_US, ANNOUNCEMENT_VERSION, Announcement, NEIGHBOUR_TIMEOUT_US, SystemKey,
+};
 use osap_protocol::{BusDrop, DropCause, GatewayIndex, RouteBuf, Step};
 
 impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS: usize>
@@ -67,6 +69,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         };
         let neighbour = Neighbour { unique_id, boot_epoch, gateway: theirs.get() };
         gateway.heard = Some(Heard { neighbour, at: now });
+        self.silence_at = self.silence_at.min(now + Span::from_us(NEIGHBOUR_TIMEOUT_US) + Span::from_steps(1));
         if wants_answer || change.is_some() {
             gateway.announce_at = Some(now);
         }

@@ -4,7 +4,7 @@
 //! - **Invariant:** what leaves still has time to live when its last byte arrives.
 //! - **Clauses:** `[PKT-10]`, `[PKT-12]`, `[SYS-03]`, `[NOD-06]`.
 
-use crate::node::Node;
+use crate::node::{MTU_BYTES_MIN, Node};
 use crate::pool::Taker;
 use fixed_math::time::LocalTicks;
 use osap_protocol::discovery::Stage;
@@ -34,14 +34,29 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
     /// Copies the next packet for `gateway` into `out`, to be called when the gateway is clear to send. `out` holds the gateway's
     /// MTU; a packet that it cannot hold is dropped, `over-mtu`.
     pub fn transmit(&mut self, index: GatewayIndex, now: LocalTicks, out: &mut [u8]) -> Option<Outgoing> {
+        self.transmit_with(index, now, out.len(), |packet, to| {
+            out[..packet.len()].copy_from_slice(packet);
+            Outgoing { len: packet.len(), to }
+        })
+    }
+
+    /// Gives the next packet for `gateway`, of up to `limit_bytes`, to `send`, to be called when the gateway is clear to send: as
+    /// [`Node::transmit`] without its copy. A longer one is dropped, `over-mtu`.
+    pub fn transmit_with<R>(
+        &mut self,
+        index: GatewayIndex,
+        now: LocalTicks,
+        limit_bytes: usize,
+        send: impl FnOnce(&[u8], Option<BusDrop>) -> R,
+    ) -> Option<R> {
         let gateway = self.gateways.get(index.at()).filter(|gateway| gateway.open)?;
         // one announcement between two packets at the most, however often a neighbour asks
         let yields = gateway.announced_last && gateway.waiting > 0;
-        if !yields
-            && gateway.announce_at.is_some_and(|at| at <= now)
-            && let Some(outgoing) = self.announce(index, now, out)
-        {
-            return Some(outgoing);
+        if !yields && gateway.announce_at.is_some_and(|at| at <= now) {
+            let mut announcement = [0; MTU_BYTES_MIN as usize];
+            if let Some(Outgoing { len, to }) = self.announce(index, now, &mut announcement) {
+                return Some(send(announcement.get(..len.min(limit_bytes))?, to));
+            }
         }
         self.expire(now);
         while self.gateways[index.at()].waiting > 0 {
@@ -49,12 +64,12 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
             self.leave_stack(&id);
             let tag = *self.pool.tag(&id);
             let len = self.pool.bytes(&id).len();
-            let wire = self.gateways[index.at()].config.wire_time(len);
+            let wire = self.gateways[index.at()].wire_time(len);
             let Some(ttl_us) = ttl_after(tag.ttl_us, now.since(tag.arrived), wire) else {
                 self.discard(id, DropCause::Expired, now);
                 continue;
             };
-            let (Some(room), Ok(mut packet)) = (out.get_mut(..len), Packet::check(self.pool.bytes_mut(&id))) else {
+            let (true, Ok(mut packet)) = (len <= limit_bytes, Packet::check(self.pool.bytes_mut(&id))) else {
                 self.discard(id, DropCause::OverMtu, now);
                 continue;
             };
@@ -63,13 +78,13 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
                 Instruction::Bus { drop, .. } => Some(drop),
                 _ => None,
             };
-            room.copy_from_slice(packet.bytes());
+            let sent = send(packet.bytes(), to);
             self.relinquish(id);
             let gateway = &mut self.gateways[index.at()];
             gateway.announced_last = false;
             gateway.sent = gateway.sent.wrapping_add(1);
             self.stage(Stage::Egress, Taker::Gateway(index), now);
-            return Some(Outgoing { len, to });
+            return Some(sent);
         }
         None
     }

@@ -6,7 +6,7 @@
 use fixed_math::time::{LocalTicks, Span};
 use osap_protocol::discovery::{GatewayKind, LinkInfo, Neighbour};
 use osap_protocol::framing::{Check, encoded_len_max};
-use osap_protocol::ttl::wire_time;
+use osap_protocol::ttl::{WireRate, wire_time};
 
 /// What does not change about a gateway.
 #[derive(Clone, Copy, Debug)]
@@ -31,11 +31,17 @@ impl GatewayConfig {
     /// Time a packet of `packet_len` bytes takes on the wire, framing and a bus's addresses included; zero where the rate is unknown.
     #[must_use]
     pub fn wire_time(&self, packet_len: usize) -> Span {
+        wire_time(self.frame_bytes_max(packet_len), self.bits_a_byte, self.bit_rate)
+    }
+
+    /// Most bytes that the frame of a packet of `packet_len` bytes has.
+    #[must_use]
+    pub const fn frame_bytes_max(&self, packet_len: usize) -> usize {
         let addresses = match self.kind {
             GatewayKind::Link => 0,
             GatewayKind::Bus { .. } => 2, // destination and source drop, `[FRM-10]`
         };
-        wire_time(encoded_len_max(packet_len + addresses, self.check), self.bits_a_byte, self.bit_rate)
+        encoded_len_max(packet_len + addresses, self.check)
     }
 }
 
@@ -50,6 +56,7 @@ pub(crate) struct Heard {
 #[derive(Debug)]
 pub struct Gateway {
     pub(crate) config: GatewayConfig,
+    rate: WireRate,
     pub(crate) open: bool,
     /// Slots it owns.
     pub(crate) held: u8,
@@ -70,6 +77,7 @@ pub struct Gateway {
 impl Gateway {
     pub(crate) const fn new(config: GatewayConfig) -> Self {
         Self {
+            rate: WireRate::new(config.bits_a_byte, config.bit_rate),
             config,
             open: false,
             held: 0,
@@ -88,6 +96,12 @@ impl Gateway {
     #[must_use]
     pub const fn config(&self) -> &GatewayConfig {
         &self.config
+    }
+
+    /// As [`GatewayConfig::wire_time`], without its division.
+    #[must_use]
+    pub fn wire_time(&self, packet_len: usize) -> Span {
+        self.rate.time(self.config.frame_bytes_max(packet_len))
     }
 
     /// Whether it can carry packets.

@@ -61,7 +61,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         if matches!(arrival, Arrival::Bus { from: BusDrop::BROADCAST, .. }) {
             return Err(DropCause::FrameMalformed); // `[PKT-15]`: nobody's own address, so nobody could be answered
         }
-        let (len, wire) = (packet.len(), gateway.config.wire_time(packet.len()));
+        let (len, wire) = (packet.len(), gateway.wire_time(packet.len()));
         let mut view = Packet::check(&mut *packet)?;
         let (ttl_us, mtu_bytes) = (view.ttl_us(), usize::from(view.mtu_bytes()));
         if len > mtu_bytes.min(BYTES) {
@@ -75,14 +75,16 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
             _ => None,
         };
         view.advance(arrival)?;
+        // read once: what is decided below is decided by this one instruction
+        let instruction = view.instruction();
         self.stage(Stage::Ingress, Taker::Gateway(index), now);
 
         let view = Packet::check(&*packet)?;
-        if let Instruction::System(_) | Instruction::Port { .. } = view.instruction() {
+        if let Instruction::System(_) | Instruction::Port { .. } = instruction {
             // the way ends here: what was taken must be a way, or nothing could go back by it
             Route::check(view.taken()).map_err(|_| DropCause::PointerOutside)?;
         }
-        if let Instruction::System(key) = view.instruction() {
+        if let Instruction::System(key) = instruction {
             return match SystemKey::from_key(key) {
                 // one step and no more, `[SYS-02]`: what was forwarded here tells nothing of who is at the other end of this link
                 Some(SystemKey::Announcement) if view.taken().len() > Instruction::width(view.taken()[0]) => {
@@ -94,10 +96,12 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
                 _ => Err(DropCause::UnknownSystemKey),
             };
         }
-        if let Some((key, payload)) = view.transport() {
-            check_transport(key, payload)?;
+        if let Instruction::Port { .. } = instruction
+            && let Some((key, payload)) = packet[view.after_instruction()..].split_first()
+        {
+            check_transport(*key, payload)?;
         }
-        let taker = self.route(packet)?;
+        let taker = self.decide(instruction, len)?;
         self.stage(Stage::Route, taker, now);
 
         // the sender has taken the wire time off already: time in this node begins at the frame's end, which cannot be after `now`
@@ -106,7 +110,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         // what could only be dropped takes no memory, and displaces nothing that could still be in time
         let left = match taker {
             Taker::Port(_) => ttl_after(ttl_us, now.since(arrived), Span::ZERO),
-            Taker::Gateway(out) => ttl_after(ttl_us, now.since(arrived), self.gateways[out.at()].config.wire_time(len)),
+            Taker::Gateway(out) => ttl_after(ttl_us, now.since(arrived), self.gateways[out.at()].wire_time(len)),
         };
         left.ok_or(DropCause::Expired)?;
         let id = self.admit(Tag { owner: Owner::Gateway(index), taker, arrived, ttl_us, deadline }, now)?;

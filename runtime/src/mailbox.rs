@@ -7,7 +7,7 @@
 //! - **Clauses:** `[PKT-11]`, `[PKT-13]`, `[TRN-03]`, `[NOD-06]`, `[NOD-07]`, `[NOD-11]`.
 
 use crate::node::Node;
-use crate::pool::{Owner, SlotId, Tag, Taker};
+use crate::pool::{Owner, Pool, SlotId, Tag, Taker};
 use fixed_math::time::{LocalTicks, Span};
 use osap_protocol::discovery::Stage;
 use osap_protocol::header::{PORT_HEADER_BYTES, Terminal, emit};
@@ -33,6 +33,16 @@ pub struct Delivery {
     pub mtu_bytes: u16,
     /// Offset of the payload behind the transport's header (a segmented packet's is part of the payload).
     payload: usize,
+}
+
+impl Delivery {
+    /// The slot from the payload on, for an answer to be written in its place.
+    pub(crate) fn room<'p, const SLOTS: usize, const BYTES: usize>(
+        &self,
+        pool: &'p mut Pool<SLOTS, BYTES>,
+    ) -> &'p mut [u8] {
+        pool.room_mut(&self.slot).get_mut(self.payload..).unwrap_or_default()
+    }
 }
 
 /// A packet to be made.
@@ -222,7 +232,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         let first = to.route.steps().next();
         let wire = first
             .and_then(|step| self.gateways.get(step.gateway().at()))
-            .map_or(Span::ZERO, |gateway| gateway.config.wire_time(len));
+            .map_or(Span::ZERO, |gateway| gateway.wire_time(len));
         let need_us = wire.as_us_ceil() + 1;
         if u64::from(to.ttl_us) < need_us {
             return Err(SendError::TtlTooShort { need_us, ttl_us: to.ttl_us });
@@ -254,8 +264,32 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         parts: &[&[u8]],
         now: LocalTicks,
     ) -> Result<(), SendError> {
+        let Delivery { payload, .. } = delivery;
+        let len = parts.iter().map(|part| part.len()).sum::<usize>();
+        let limit = BYTES.saturating_sub(payload);
+        if let Some(room) = self.pool.room_mut(&delivery.slot).get_mut(payload..payload + len.min(limit))
+            && len <= limit
+        {
+            put(room, parts);
+        }
+        self.turn_back_in_place(delivery, kind, len, now)
+    }
+
+    /// As a reply whose `len` bytes stand in the slot already, [`Delivery::room`].
+    pub(crate) fn reply_in_place(&mut self, delivery: Delivery, len: usize, now: LocalTicks) -> Result<(), SendError> {
+        self.turn_back_in_place(delivery, SequencedKind::Reply, len, now)
+    }
+
+    fn turn_back_in_place(
+        &mut self,
+        delivery: Delivery,
+        kind: SequencedKind,
+        len: usize,
+        now: LocalTicks,
+    ) -> Result<(), SendError> {
         let Delivery { slot, port, sequenced, payload, .. } = delivery;
-        let result = self.rewrite(&slot, payload, sequenced.map(|header| SequencedHeader { kind, ..header }), parts);
+        let header = sequenced.map(|header| SequencedHeader { kind, ..header });
+        let result = self.rewrite(&slot, payload + len, header);
         match result {
             Ok(taker) => {
                 self.pool.tag_mut(&slot).taker = taker;
@@ -273,25 +307,18 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         }
     }
 
-    fn rewrite(
-        &mut self,
-        slot: &SlotId,
-        payload: usize,
-        sequenced: Option<SequencedHeader>,
-        parts: &[&[u8]],
-    ) -> Result<Taker, SendError> {
-        let len = payload + parts.iter().map(|part| part.len()).sum::<usize>();
+    /// Makes a packet that arrived at a port one of `len` bytes that goes back.
+    fn rewrite(&mut self, slot: &SlotId, len: usize, sequenced: Option<SequencedHeader>) -> Result<Taker, SendError> {
         let mut packet = Packet::check(self.pool.bytes_mut(slot)).map_err(|error| SendError::Refused(error.into()))?;
         let limit = usize::from(packet.mtu_bytes()).min(BYTES);
         if len > limit {
             return Err(SendError::TooLong { len, limit });
         }
         let transport = packet.turn_back().ok_or(SendError::Refused(DropCause::NotForwarding))?;
-        let room = self.pool.room_mut(slot);
         if let Some(header) = sequenced {
+            let room = self.pool.room_mut(slot);
             room[transport + 1..transport + 1 + SequencedHeader::LEN].copy_from_slice(&header.encode());
         }
-        put(&mut room[payload..len], parts);
         self.pool.set_len(slot, len);
         self.route(self.pool.bytes(slot)).map_err(SendError::Refused)
     }

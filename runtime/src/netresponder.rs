@@ -5,11 +5,17 @@
 //!   since a request may come more than once, `[TRN-06]`.
 //! - **Context:** the node's (the routing task), so that no user code delays it. **Clauses:** `[DSC-01]` to `[DSC-07]`.
 
+use crate::clock::Clock;
+use crate::counters::Counters;
+use crate::debug::DebugRing;
+use crate::gateway::Gateway;
 use crate::mailbox::{Delivery, Mailbox};
-use crate::node::Node;
+use crate::node::{Identity, Node};
+use crate::pool::Pool;
+use crate::port::Port;
 use fixed_math::time::LocalTicks;
 use osap_protocol::discovery::{
-    BODY_BYTES_MAX, Event, Message, NAME_BYTES_MAX, Query, Refusal, RuntimeInfo, ScanId, TimeSettings, VERSION,
+    BODY_BYTES_MAX, Event, Message, NAME_BYTES_MAX, Name, Query, Refusal, RuntimeInfo, ScanId, TimeSettings, VERSION,
     Verbosity, check_query, decode, encode,
 };
 use osap_protocol::header::PORT_HEADER_BYTES;
@@ -18,8 +24,6 @@ use osap_protocol::{DropCause, PortIndex};
 
 /// Longest query: a name, with its length, behind key and version, and room to spare for time settings (6 numbers of 5 bytes).
 const QUERY_BYTES_MAX: usize = 2 + 1 + NAME_BYTES_MAX;
-/// Room for any answer: key, version, body.
-type Answer = [u8; 2 + BODY_BYTES_MAX];
 
 impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS: usize>
     Node<SLOTS, BYTES, GATEWAYS, PORTS>
@@ -44,21 +48,42 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         let mut query = [0; QUERY_BYTES_MAX];
         let payload = self.payload(&delivery);
         let (key, len) = (payload[0], payload.len());
-        let room = self.room_for_answer(&delivery);
-        let mut out: Answer = [0; _];
-        let served = match query.get_mut(..len) {
-            Some(place) => {
+        let limit = self.room_for_answer(&delivery);
+        // a copy of the query, and its slot for the answer: nothing else is as long
+        let (pool, mut desk) = self.desk(now);
+        let room = delivery.room(pool);
+        let served = match query.get_mut(..len).zip(room.get(..len)) {
+            Some((place, payload)) => {
                 place.copy_from_slice(payload);
-                decode(place).and_then(|message| self.serve(message, now, &mut out[..room]))
+                let limit = limit.min(room.len());
+                decode(place).and_then(|message| desk.serve(message, &mut room[..limit]))
             }
             // longer than any query: its body cannot decode, if its version is ours at all
-            None => decode(payload).and(Err(Refusal::Body)),
+            None => decode(room.get(..len).unwrap_or_default()).and(Err(Refusal::Body)),
         };
         // an answer is counted where it fails, so nothing is lost silently
         let _counted = match served {
-            Ok(len) => self.reply(delivery, &[&out[..len]], now),
+            Ok(len) => self.reply_in_place(delivery, len, now),
             Err(refusal) => self.refuse(delivery, &[&[key, VERSION, refusal.code()]], now),
         };
+    }
+
+    /// The pool, and all else that a query may read or change.
+    fn desk(&mut self, now: LocalTicks) -> (&mut Pool<SLOTS, BYTES>, Desk<'_, SLOTS, BYTES>) {
+        let desk = Desk {
+            now,
+            identity: &self.identity,
+            name: &mut self.name,
+            renamed: &mut self.renamed,
+            gateways: &self.gateways,
+            ports: &self.ports,
+            counters: &self.counters,
+            debug: &mut self.debug,
+            clock: &mut self.clock,
+            visits: &mut self.visits,
+            topology_generation: self.topology_generation,
+        };
+        (&mut self.pool, desk)
     }
 
     /// Bytes that an answer may have, so that its packet fits the route's MTU and the slot.
@@ -67,14 +92,31 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         let mtu = usize::from(delivery.mtu_bytes).min(BYTES);
         mtu.saturating_sub(head).min(2 + BODY_BYTES_MAX)
     }
+}
 
+/// What queries read and change, apart from the pool: the answer is written into the query's own slot.
+struct Desk<'a, const SLOTS: usize, const BYTES: usize> {
+    now: LocalTicks,
+    identity: &'a Identity,
+    name: &'a mut Name,
+    renamed: &'a mut bool,
+    gateways: &'a [Gateway],
+    ports: &'a [Port],
+    counters: &'a Counters,
+    debug: &'a mut DebugRing,
+    clock: &'a mut Clock,
+    visits: &'a mut [ScanId; 2],
+    topology_generation: u32,
+}
+
+impl<const SLOTS: usize, const BYTES: usize> Desk<'_, SLOTS, BYTES> {
     /// Carries out one query and writes its answer into `out`.
-    fn serve(&mut self, message: Message<'_>, now: LocalTicks, out: &mut [u8]) -> Result<usize, Refusal> {
+    fn serve(&mut self, message: Message<'_>, out: &mut [u8]) -> Result<usize, Refusal> {
         let Message { key, body } = message;
         match Query::from_key(key)? {
             Query::RuntimeInfo => {
                 let id = body.read()?;
-                let info = self.runtime_info(id, now);
+                let info = self.runtime_info(id);
                 let len = encode(key, &info, out)?;
                 self.remember_visit(id);
                 Ok(len)
@@ -85,11 +127,11 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
             }
             Query::RuntimeName => {
                 body.read::<()>()?;
-                encode(key, &self.name, out)
+                encode(key, &*self.name, out)
             }
             Query::SetRuntimeName => {
                 let name = body.read()?;
-                self.rename(name, now);
+                self.rename(name);
                 encode(key, &(), out)
             }
             Query::LinkInfo => {
@@ -111,7 +153,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
             }
             Query::TimeControl => {
                 body.read::<()>()?;
-                encode(key, &self.clock.control(now), out)
+                encode(key, &self.clock.control(self.now), out)
             }
             Query::SetTimeControl => {
                 self.clock.set(body.read::<TimeSettings>()?)?;
@@ -124,8 +166,8 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         }
     }
 
-    fn runtime_info(&self, id: ScanId, now: LocalTicks) -> RuntimeInfo {
-        let [last, before] = self.visits;
+    fn runtime_info(&self, id: ScanId) -> RuntimeInfo {
+        let [last, before] = *self.visits;
         #[expect(
             clippy::cast_possible_truncation,
             reason = "six bits, eleven bits, sixteen bits by Node::new and Pool::new"
@@ -142,22 +184,22 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
             packet_bytes_max: BYTES as u16,
             slots: SLOTS as u16,
             topology_generation: self.topology_generation,
-            uptime_us: now.as_us(),
+            uptime_us: self.now.as_us(),
         }
     }
 
     fn remember_visit(&mut self, id: ScanId) {
-        let [last, _] = self.visits;
+        let [last, _] = *self.visits;
         if id != last {
-            self.visits = [id, last];
+            *self.visits = [id, last];
         }
     }
 
-    fn rename(&mut self, name: osap_protocol::discovery::Name, now: LocalTicks) {
-        if self.name != name {
-            self.name = name;
-            self.renamed = true;
-            self.debug.record(Verbosity::Events, now, || Event::Renamed);
+    fn rename(&mut self, name: Name) {
+        if *self.name != name {
+            *self.name = name;
+            *self.renamed = true;
+            self.debug.record(Verbosity::Events, self.now, || Event::Renamed);
         }
     }
 

@@ -74,6 +74,8 @@ pub struct Node<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, c
     /// Scan id of the last visit, and of the one before it, `[DSC-03]`.
     pub(crate) visits: [ScanId; 2],
     pub(crate) topology_generation: u32,
+    /// No neighbour is silent for too long before this: the earliest of them when last looked, as they only ever move on.
+    pub(crate) silence_at: LocalTicks,
 }
 
 impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS: usize>
@@ -100,6 +102,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
             clock: Clock::new(),
             visits: [ScanId::default(); 2],
             topology_generation: 0,
+            silence_at: LocalTicks::MAX,
         }
     }
 
@@ -229,6 +232,14 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
     /// came in and whenever [`Node::next_wake`] has come.
     pub fn run(&mut self, now: LocalTicks) {
         self.expire(now);
+        if now >= self.silence_at {
+            self.notice_silence(now);
+        }
+        self.answer_queries(now);
+    }
+
+    /// Takes leave of neighbours not heard of for too long, and notes when the next one may be.
+    fn notice_silence(&mut self, now: LocalTicks) {
         for index in self.gateway_indices() {
             let silent = self.gateways[index.at()]
                 .heard
@@ -237,7 +248,13 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
                 self.neighbour_lost(index, now);
             }
         }
-        self.answer_queries(now);
+        self.silence_at = self.next_silence().unwrap_or(LocalTicks::MAX);
+    }
+
+    /// When the first neighbour will have been silent for too long.
+    fn next_silence(&self) -> Option<LocalTicks> {
+        let heard = self.gateways.iter().filter_map(|gateway| gateway.heard);
+        heard.map(|heard| heard.at + Span::from_us(NEIGHBOUR_TIMEOUT_US) + Span::from_steps(1)).min()
     }
 
     /// When [`Node::run`] or, for an announcement, [`Node::transmit`] has something to do even if no packet comes.
@@ -245,12 +262,8 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
     pub fn next_wake(&self) -> Option<LocalTicks> {
         let expiry = self.stack.earliest_deadline(&self.pool);
         let announcements = self.gateways.iter().filter_map(|gateway| gateway.announce_at);
-        let silences = self
-            .gateways
-            .iter()
-            .filter_map(|gateway| gateway.heard)
-            .map(|heard| heard.at + Span::from_us(NEIGHBOUR_TIMEOUT_US) + Span::from_steps(1));
-        announcements.chain(silences).chain(expiry).min()
+        let silence = (self.silence_at < LocalTicks::MAX).then_some(self.silence_at);
+        announcements.chain(silence).chain(expiry).min()
     }
 
     /// Drops every stacked packet whose deadline has come, `[NOD-04]`.

@@ -263,7 +263,8 @@ impl<const BYTES: usize> Receiver<BYTES> {
                 return Received::Dropped;
             }
         };
-        let back = node.with_taken_steps(&delivery, |taken| Route::check(taken).map(RouteBuf::from).unwrap_or_default());
+        let back =
+            node.with_taken_steps(&delivery, |taken| Route::check(taken).map(RouteBuf::from).unwrap_or_default());
         let source = Source { back, port: delivery.source, message };
         let idle = now.since(self.heard) >= Span::from_us(SEGMENT_IDLE_US);
         let same = self.is_same(&source, index, count, idle);
@@ -278,9 +279,8 @@ impl<const BYTES: usize> Receiver<BYTES> {
         if !same {
             self.begin(source, count);
         }
-        let verdict = node.with_payload(&delivery, |payload| {
-            self.append(index, count, payload.get(head..).unwrap_or_default())
-        });
+        let verdict =
+            node.with_payload(&delivery, |payload| self.append(index, count, payload.get(head..).unwrap_or_default()));
         if let Ok(()) | Err(DropCause::SegmentOutOfOrder) = verdict {
             self.heard = now;
         }

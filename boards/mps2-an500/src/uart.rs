@@ -115,7 +115,7 @@ pub struct Uart {
 }
 
 impl Wire for Uart {
-    fn drain(&mut self, take: impl FnMut(&[u8], LocalTicks)) {
+    fn drain(&mut self, _now: LocalTicks, take: impl FnMut(&[u8], LocalTicks)) {
         drain_ring(&mut self.ring, take);
     }
 

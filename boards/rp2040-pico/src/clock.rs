@@ -3,7 +3,7 @@
 //! - **Invariants:** 64 bits, never set, so it neither wraps nor jumps.
 //! - **Context:** [`now`] anywhere; [`Alarm`] in the routing task and the interrupt `TIMER_IRQ_0`.
 
-use fixed_math::time::LocalTicks;
+use fixed_math::time::{FRACTION_BITS, LocalTicks};
 use rp2040_hal::clocks::ClocksManager;
 use rp2040_hal::pac;
 use rp2040_hal::timer::Timer;
@@ -36,12 +36,14 @@ pub fn now_us() -> u64 {
     }
 }
 
-/// Instant of a stamp's low word that lies less than 71 minutes before `now_us`.
+/// Instant of a stamp's low word that lies less than 16 seconds before `now`.
 #[must_use]
-pub fn at_stamp(stamp: u32, now_us: u64) -> u64 {
+pub fn at_stamp(stamp: u32, now: LocalTicks) -> LocalTicks {
     #[expect(clippy::cast_possible_truncation, reason = "the low word is what a stamp is compared with")]
-    let age = (now_us as u32).wrapping_sub(stamp);
-    now_us.saturating_sub(u64::from(age))
+    let age_us = (now.as_us() as u32).wrapping_sub(stamp);
+    // a stamp that came after `now` was read is of now
+    let age_us = if age_us.cast_signed() < 0 { 0 } else { age_us };
+    LocalTicks::from_steps(now.steps().saturating_sub(u64::from(age_us << FRACTION_BITS)))
 }
 
 /// Starts the timer.

@@ -129,7 +129,9 @@ impl NorFlash for SettingsFlash {
         check_erase(self, from, to).map_err(Refused)?;
         // SAFETY: as `new` demands, and sectors of the settings alone
         unsafe {
-            without_mapping(|| rom_data::flash_range_erase(OFFSET + from, (to - from) as usize, BLOCK_BYTES, BLOCK_ERASE));
+            without_mapping(|| {
+                rom_data::flash_range_erase(OFFSET + from, (to - from) as usize, BLOCK_BYTES, BLOCK_ERASE)
+            });
         }
         Ok(())
     }

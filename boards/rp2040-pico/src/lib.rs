@@ -23,9 +23,9 @@ pub use rp2040_hal::pac;
 
 use core::mem::MaybeUninit;
 use core::ptr::addr_of_mut;
+use embedded_hal::digital::InputPin;
 use firmware_app::report::{REPORT_WORDS, Report};
 use fugit::{ExtU32, RateExtU32};
-use embedded_hal::digital::InputPin;
 use hal::clocks::{Clock, init_clocks_and_plls};
 use hal::uart::{DataBits, StopBits, UartConfig, UartPeripheral};
 use rp2040_hal as hal;
@@ -107,17 +107,10 @@ impl Board {
         vectors_to_ram();
         let by_watchdog = p.WATCHDOG.reason().read().timer().bit_is_set();
         let mut watchdog = hal::Watchdog::new(p.WATCHDOG);
-        let clocks = init_clocks_and_plls(
-            CRYSTAL_HZ,
-            p.XOSC,
-            p.CLOCKS,
-            p.PLL_SYS,
-            p.PLL_USB,
-            &mut p.RESETS,
-            &mut watchdog,
-        )
-        .ok()
-        .expect("the crystal starts");
+        let clocks =
+            init_clocks_and_plls(CRYSTAL_HZ, p.XOSC, p.CLOCKS, p.PLL_SYS, p.PLL_USB, &mut p.RESETS, &mut watchdog)
+                .ok()
+                .expect("the crystal starts");
         let timer = clock::start(p.TIMER, &mut p.RESETS, &clocks);
         let unique_id = flash::unique_id();
         let sio = hal::Sio::new(p.SIO);
@@ -130,10 +123,12 @@ impl Board {
         let straps = straps.into_iter().rev().fold(0, |number, bit| number << 1 | u8::from(bit == Ok(true)));
         let config = || UartConfig::new(UART_BAUD.Hz(), DataBits::Eight, None, StopBits::One);
         let clock_hz = clocks.peripheral_clock.freq();
-        let uart0 = UartPeripheral::new(p.UART0, (pins.gpio0.into_function(), pins.gpio1.into_function()), &mut p.RESETS);
+        let uart0 =
+            UartPeripheral::new(p.UART0, (pins.gpio0.into_function(), pins.gpio1.into_function()), &mut p.RESETS);
         let mut uart0 = uart0.enable(config(), clock_hz).ok().expect("the rate can be divided");
         uart0.set_fifos(true);
-        let uart1 = UartPeripheral::new(p.UART1, (pins.gpio4.into_function(), pins.gpio5.into_function()), &mut p.RESETS);
+        let uart1 =
+            UartPeripheral::new(p.UART1, (pins.gpio4.into_function(), pins.gpio5.into_function()), &mut p.RESETS);
         let mut uart1 = uart1.enable(config(), clock_hz).ok().expect("the rate can be divided");
         uart1.set_fifos(true);
         let uarts = uart::start(&p.DMA, &mut p.RESETS);

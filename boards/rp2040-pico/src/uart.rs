@@ -29,6 +29,8 @@ const WAKE_MASK: u32 = 0xf;
 /// 1/256 µs a byte of ten bits takes, times 2^8.
 const BYTE_STEPS_Q8: u32 = ((10 * 256 * 256 * 1_000_000_u64) / UART_BAUD as u64) as u32;
 
+/// Bytes that a UART's transmitter holds.
+const FIFO_BYTES: usize = 32;
 /// Permanent request: a transfer that waits for nothing.
 const TREQ_NONE: u32 = 0x3f;
 
@@ -97,20 +99,16 @@ pub struct DmaUart {
     /// Bytes handed over or passed over.
     consumed: u32,
     overruns: u32,
+    /// Bytes of the frame in work that the UART has already.
+    head: usize,
     /// When the last byte given to the UART has left.
     sent_at: LocalTicks,
 }
 
-/// What the receive interrupt does for one UART.
+/// What the receive interrupt keeps of both UARTs: the place of the next byte to look at.
+#[derive(Debug, Default)]
 pub struct RxWatch {
-    number: usize,
-    seen: usize,
-}
-
-/// The receive interrupt's part of both UARTs.
-#[must_use]
-pub const fn watches() -> [RxWatch; 2] {
-    [RxWatch { number: 0, seen: 0 }, RxWatch { number: 1, seen: 0 }]
+    seen: [usize; 2],
 }
 
 /// Sets all channels going. The UARTs are enabled already.
@@ -128,7 +126,7 @@ pub(crate) fn start(dma: &pac::DMA, resets: &mut pac::RESETS) -> [DmaUart; 2] {
         dma.inte0().write(|w| w.bits(receive));
         dma.inte1().write(|w| w.bits(transmit));
     }
-    [0, 1].map(|number| DmaUart { number, read: 0, consumed: 0, overruns: 0, sent_at: LocalTicks::ZERO })
+    [0, 1].map(|number| DmaUart { number, read: 0, consumed: 0, overruns: 0, head: 0, sent_at: LocalTicks::ZERO })
 }
 
 fn start_receiver(dma: &pac::DMA, number: usize) {
@@ -166,24 +164,41 @@ fn start_receiver(dma: &pac::DMA, number: usize) {
 }
 
 impl RxWatch {
+    /// Nothing seen yet.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self { seen: [0; 2] }
+    }
+
     /// Counts what has come; says whether routing has something to do: a frame has ended, or many bytes wait.
     pub fn take(&mut self) -> bool {
-        let Channels { bytes, .. } = CHANNELS[self.number];
-        // SAFETY: clearing its own channel's flag
-        dma().intr().write(|w| unsafe { w.bits(1 << bytes) });
-        let end = ring_place(dma().ch(bytes).ch_write_addr().read().bits(), 0);
-        let total = &RX_TOTAL[self.number];
-        // this interrupt is the only writer, so no read-modify-write is needed, which a Cortex-M0+ does not have
-        let mut count = total.load(Ordering::Relaxed);
+        let pending = dma().ints0().read().bits();
+        // SAFETY: ending interrupts that are this one's
+        dma().intr().write(|w| unsafe { w.bits(pending) });
         let mut wake = false;
-        while self.seen != end {
-            wake |= byte_at(self.number, self.seen) == DELIMITER || count & WAKE_MASK == WAKE_MASK;
-            self.seen = (self.seen + 1) & RING_MASK;
-            count = count.wrapping_add(1);
+        for (number, seen) in self.seen.iter_mut().enumerate() {
+            if pending & 1 << CHANNELS[number].bytes != 0 {
+                wake |= look(number, seen);
+            }
         }
-        total.store(count, Ordering::Relaxed);
         wake
     }
+}
+
+/// Looks at the bytes of one UART from place `seen` on.
+fn look(number: usize, seen: &mut usize) -> bool {
+    let end = ring_place(dma().ch(CHANNELS[number].bytes).ch_write_addr().read().bits(), 0);
+    let total = &RX_TOTAL[number];
+    // this interrupt is the only writer, so no read-modify-write is needed, which a Cortex-M0+ does not have
+    let mut count = total.load(Ordering::Relaxed);
+    let mut wake = false;
+    while *seen != end {
+        count = count.wrapping_add(1);
+        wake |= byte_at(number, *seen) == DELIMITER || count & WAKE_MASK == 0;
+        *seen = (*seen + 1) & RING_MASK;
+    }
+    total.store(count, Ordering::Relaxed);
+    wake
 }
 
 /// Ends the interrupts of frames that have gone to their UARTs; routing may have the next ones.
@@ -194,7 +209,7 @@ pub fn clear_transmitted() {
 }
 
 impl Wire for DmaUart {
-    fn drain(&mut self, mut take: impl FnMut(&[u8], LocalTicks)) {
+    fn drain(&mut self, now: LocalTicks, mut take: impl FnMut(&[u8], LocalTicks)) {
         let come = RX_TOTAL[self.number].load(Ordering::Relaxed).wrapping_sub(self.consumed).cast_signed();
         // a byte is there once its stamp is
         let end = ring_place(dma().ch(CHANNELS[self.number].stamps).ch_write_addr().read().bits(), 2);
@@ -203,10 +218,12 @@ impl Wire for DmaUart {
             self.consumed = self.consumed.wrapping_add_signed(come);
             self.read = end;
             // ends the frame that was cut
-            take(&[DELIMITER], clock::now());
+            take(&[DELIMITER], now);
             return;
         }
-        let now_us = clock::now_us();
+        if self.read == end {
+            return;
+        }
         while self.read != end {
             let start = self.read;
             let limit = if end > start { end } else { RING_BYTES };
@@ -216,8 +233,7 @@ impl Wire for DmaUart {
             let len = run.iter().position(|byte| *byte == DELIMITER).map_or(run.len(), |at| at + 1);
             // SAFETY: the place is within the ring; volatile since the DMA wrote it
             let stamp = unsafe { RX_STAMP_BUFFER[self.number].0.get().cast::<u32>().add(start).read_volatile() };
-            let ended = LocalTicks::from_us(clock::at_stamp(stamp, now_us));
-            take(&run[..len], ended);
+            take(&run[..len], clock::at_stamp(stamp, now));
             self.read = (start + len) & RING_MASK;
             self.consumed = self.consumed.wrapping_add(len as u32);
         }
@@ -237,22 +253,35 @@ impl Wire for DmaUart {
         unsafe { &mut *TX_FRAME_BUFFER[self.number].0.get() }
     }
 
+    fn send_head(&mut self, len: usize) {
+        let uart = uart(self.number);
+        if !uart.uartfr().read().txfe().bit_is_set() {
+            return;
+        }
+        // SAFETY: as in `room`
+        let frame = unsafe { &*TX_FRAME_BUFFER[self.number].0.get() };
+        self.head = len.min(FIFO_BYTES);
+        for byte in &frame[..self.head] {
+            // SAFETY: any byte may be sent
+            uart.uartdr().write(|w| unsafe { w.data().bits(*byte) });
+        }
+    }
+
     fn send(&mut self, len: usize, at: LocalTicks) {
         let Channels { transmit, .. } = CHANNELS[self.number];
-        let control = ctrl::ENABLE
-            | ctrl::INCREMENT_READ
-            | ctrl::chain_to(transmit)
-            | ctrl::request(REQUESTS[self.number].0);
+        let control =
+            ctrl::ENABLE | ctrl::INCREMENT_READ | ctrl::chain_to(transmit) | ctrl::request(REQUESTS[self.number].0);
         let channel = dma().ch(transmit);
-        let len = len.min(FRAME_BYTES) as u32;
+        let len = len.min(FRAME_BYTES);
+        let head = core::mem::take(&mut self.head).min(len);
         // SAFETY: from a buffer that lives for good and is not written before the channel is idle, to the UART's data register
         unsafe {
-            channel.ch_read_addr().write(|w| w.bits(TX_FRAME_BUFFER[self.number].0.get() as u32));
+            channel.ch_read_addr().write(|w| w.bits(TX_FRAME_BUFFER[self.number].0.get() as u32 + head as u32));
             channel.ch_write_addr().write(|w| w.bits(uart(self.number).uartdr().as_ptr() as u32));
-            channel.ch_trans_count().write(|w| w.bits(len));
+            channel.ch_trans_count().write(|w| w.bits((len - head) as u32));
             channel.ch_ctrl_trig().write(|w| w.bits(control));
         }
-        self.sent_at = at + Span::from_steps(u64::from(len * BYTE_STEPS_Q8 >> 8));
+        self.sent_at = at + Span::from_steps(u64::from(len as u32 * BYTE_STEPS_Q8 >> 8));
     }
 }
 

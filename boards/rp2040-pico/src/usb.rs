@@ -5,7 +5,6 @@
 //!   host's next one meanwhile. So the stream needs no check, `[FRM-04]`.
 //! - **Context:** the routing task and `USBCTRL_IRQ` at the same priority.
 
-use crate::clock;
 use core::mem::MaybeUninit;
 use core::ptr::addr_of_mut;
 use firmware_app::Wire;
@@ -38,6 +37,8 @@ pub struct UsbWire {
     left: core::ops::Range<usize>,
     /// The last packet was a full one, so the host waits for what ends the transfer.
     full: bool,
+    /// The bus had something to say since the last time all packets were taken.
+    readable: bool,
 }
 
 impl UsbWire {
@@ -69,12 +70,13 @@ impl UsbWire {
             .expect("64 is a packet size")
             .device_class(USB_CLASS_CDC)
             .build();
-        Self { device, class, frame: [0; FRAME_BYTES], left: 0..0, full: false }
+        Self { device, class, frame: [0; FRAME_BYTES], left: 0..0, full: false, readable: false }
     }
 
     /// Does what the bus asks for. In its interrupt.
     pub fn poll(&mut self) {
         self.device.poll(&mut [&mut self.class]);
+        self.readable = true;
         self.go_on();
     }
 
@@ -95,10 +97,13 @@ impl Wire for UsbWire {
         self.device.state() == UsbDeviceState::Configured && self.class.dtr()
     }
 
-    fn drain(&mut self, mut take: impl FnMut(&[u8], LocalTicks)) {
+    fn drain(&mut self, now: LocalTicks, mut take: impl FnMut(&[u8], LocalTicks)) {
+        // the hardware is not asked in vain: its registers are slow, and routing comes by for every frame of other links
+        if !core::mem::take(&mut self.readable) {
+            return;
+        }
         let mut packet = [0; PACKET_BYTES as usize];
         while let Ok(len) = self.class.read_packet(&mut packet) {
-            let now = clock::now();
             packet[..len].split_inclusive(|byte| *byte == DELIMITER).for_each(|run| take(run, now));
         }
     }

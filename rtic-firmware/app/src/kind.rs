@@ -59,11 +59,6 @@ pub struct Kind {
 }
 
 impl Kind {
-    /// The ports that services stand behind.
-    pub fn service_ports(&self) -> impl Iterator<Item = PortIndex> + use<> {
-        (1..=self.ports.len()).filter_map(|port| PortIndex::new(u16::try_from(port).ok()?))
-    }
-
     /// The port that leads to `service`.
     #[must_use]
     pub fn port_of(&self, service: Service) -> Option<PortIndex> {

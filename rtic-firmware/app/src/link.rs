@@ -7,11 +7,14 @@
 //! - **Context:** the routing task; O(bytes) a call. **Clauses:** `[LNK-01]`, `[FRM-08]`, `[NOD-08]`.
 
 use fixed_math::time::LocalTicks;
-use osap_protocol::framing::{Deframer, Frame, FrameError, encode};
+use osap_protocol::framing::{Deframer, Frame, FrameError, Framer};
 use osap_protocol::header::Arrival;
 use osap_protocol::{DropCause, GatewayIndex};
 use osap_runtime::ring::HandOver;
 use osap_runtime::{GatewayConfig, Node};
+
+/// Bytes of a packet that are framed before the first of them may leave: some zero stands among them, so that a run has ended.
+const HEAD_BYTES: usize = 12;
 
 /// What an image needs of one link's hardware. Boards implement it.
 pub trait Wire {
@@ -21,8 +24,8 @@ pub trait Wire {
     }
 
     /// Gives what has come since the last call to `take`, oldest first, in runs of at least one byte. A delimiter ends its run, and the
-    /// stamp is that of the run's first byte.
-    fn drain(&mut self, take: impl FnMut(&[u8], LocalTicks));
+    /// stamp is that of the run's first byte. It is `now`.
+    fn drain(&mut self, now: LocalTicks, take: impl FnMut(&[u8], LocalTicks));
 
     /// Frames lost for want of room since last asked.
     fn take_overruns(&mut self) -> u32;
@@ -33,17 +36,23 @@ pub trait Wire {
     /// Room for the next frame, to be filled before [`Wire::send`]; never shorter than the longest frame while [`Wire::clear_at`] is some.
     fn room(&mut self) -> &mut [u8];
 
-    /// Sends the first `len` bytes of the room, the first of them at `at` or, where that is past, at once.
+    /// The first `len` bytes of the room will not change: they may leave at once, while the rest is being made. A wire that is not idle, or
+    /// that sends whole frames, lets them wait.
+    fn send_head(&mut self, len: usize) {
+        let _waits = len;
+    }
+
+    /// Sends the first `len` bytes of the room, or what of them has not left yet, from `at` on or, where that is past, at once.
     fn send(&mut self, len: usize, at: LocalTicks);
 }
 
-/// A wire, its gateway and its framing. `FRAME` is the longest packet and its check, bytes; `BYTES` the longest packet.
+/// A wire, its gateway and its framing. `FRAME` is the longest packet and its check, bytes; `BYTES` the longest packet. The
+/// wire's room holds the frame of the longest packet.
 pub struct Link<W, const BYTES: usize, const FRAME: usize> {
     wire: W,
     gateway: GatewayIndex,
     config: GatewayConfig,
     deframer: Deframer<FRAME>,
-    packet: [u8; BYTES],
 }
 
 impl<W: Wire, const BYTES: usize, const FRAME: usize> Link<W, BYTES, FRAME> {
@@ -54,7 +63,7 @@ impl<W: Wire, const BYTES: usize, const FRAME: usize> Link<W, BYTES, FRAME> {
         node: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>,
     ) -> Option<Self> {
         let gateway = node.add_gateway(config)?;
-        Some(Self { wire, gateway, config, deframer: Deframer::new(config.check), packet: [0; BYTES] })
+        Some(Self { wire, gateway, config, deframer: Deframer::new(config.check) })
     }
 
     /// The wire, for what its interrupts need of it.
@@ -62,26 +71,29 @@ impl<W: Wire, const BYTES: usize, const FRAME: usize> Link<W, BYTES, FRAME> {
         &mut self.wire
     }
 
-    /// Takes in what has come, and says whether the wire is up.
+    /// Takes in what has come; says whether a frame ended, so that there is something to route.
     pub fn receive<const SLOTS: usize, const GATEWAYS: usize, const PORTS: usize>(
         &mut self,
         node: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>,
         now: LocalTicks,
-    ) {
+    ) -> bool {
         let Self { wire, gateway, deframer, .. } = self;
         let up = wire.is_up();
         if !up {
             deframer.reset();
         }
         node.set_open(*gateway, up, now);
-        wire.drain(|run, at| {
+        let mut ended = false;
+        wire.drain(now, |run, at| {
             if let Some(frame) = deframer.push_run(run, at) {
                 accept(node, *gateway, frame, now);
+                ended = true;
             }
         });
         for _ in 0..wire.take_overruns() {
             node.count(DropCause::RxOverrun, Some(*gateway), now);
         }
+        ended
     }
 
     /// Sends what the node has for this link, as long as the wire has room.
@@ -94,11 +106,18 @@ impl<W: Wire, const BYTES: usize, const FRAME: usize> Link<W, BYTES, FRAME> {
             && let Some(at) = self.wire.clear_at(now)
         {
             // what waits for the bytes before it has that much less time to live
-            let Some(outgoing) = node.transmit(self.gateway, at, &mut self.packet) else { break };
-            let framed = encode(&self.packet[..outgoing.len], self.config.check, self.wire.room());
-            match framed {
-                Ok(len) => self.wire.send(len, at),
-                Err(error) => node.count(error.into(), Some(self.gateway), now),
+            let Self { wire, config, .. } = self;
+            let sent = node.transmit_with(self.gateway, at, BYTES, |packet, _| {
+                let mut framer = Framer::new(config.check);
+                let (head, rest) = packet.split_at(packet.len().min(HEAD_BYTES));
+                framer.push(head, wire.room());
+                wire.send_head(framer.settled());
+                framer.push(rest, wire.room());
+                let len = framer.finish(wire.room());
+                wire.send(len, at);
+            });
+            if sent.is_none() {
+                break;
             }
         }
     }

@@ -27,8 +27,8 @@ pub const WAKE_US_MAX: u64 = 100_000;
 
 /// The links of an image: one, an array of one kind, or a pair of such.
 pub trait Links<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS: usize> {
-    /// [`Link::receive`] for each.
-    fn receive(&mut self, node: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>, now: LocalTicks);
+    /// [`Link::receive`] for each; whether a frame ended at any.
+    fn receive(&mut self, node: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>, now: LocalTicks) -> bool;
 
     /// [`Link::transmit`] for each.
     fn transmit(&mut self, node: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>, now: LocalTicks);
@@ -37,7 +37,9 @@ pub trait Links<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, c
 impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS: usize>
     Links<SLOTS, BYTES, GATEWAYS, PORTS> for ()
 {
-    fn receive(&mut self, _: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>, _: LocalTicks) {}
+    fn receive(&mut self, _: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>, _: LocalTicks) -> bool {
+        false
+    }
 
     fn transmit(&mut self, _: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>, _: LocalTicks) {}
 }
@@ -45,8 +47,8 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
 impl<W: Wire, const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS: usize, const FRAME: usize>
     Links<SLOTS, BYTES, GATEWAYS, PORTS> for Link<W, BYTES, FRAME>
 {
-    fn receive(&mut self, node: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>, now: LocalTicks) {
-        Self::receive(self, node, now);
+    fn receive(&mut self, node: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>, now: LocalTicks) -> bool {
+        Self::receive(self, node, now)
     }
 
     fn transmit(&mut self, node: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>, now: LocalTicks) {
@@ -63,10 +65,8 @@ impl<
     const PORTS: usize,
 > Links<SLOTS, BYTES, GATEWAYS, PORTS> for [L; LINKS]
 {
-    fn receive(&mut self, node: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>, now: LocalTicks) {
-        for link in self {
-            link.receive(node, now);
-        }
+    fn receive(&mut self, node: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>, now: LocalTicks) -> bool {
+        self.iter_mut().fold(false, |ended, link| link.receive(node, now) | ended)
     }
 
     fn transmit(&mut self, node: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>, now: LocalTicks) {
@@ -85,9 +85,8 @@ impl<
     const PORTS: usize,
 > Links<SLOTS, BYTES, GATEWAYS, PORTS> for (A, B)
 {
-    fn receive(&mut self, node: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>, now: LocalTicks) {
-        self.0.receive(node, now);
-        self.1.receive(node, now);
+    fn receive(&mut self, node: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>, now: LocalTicks) -> bool {
+        self.0.receive(node, now) | self.1.receive(node, now)
     }
 
     fn transmit(&mut self, node: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>, now: LocalTicks) {
@@ -113,7 +112,18 @@ pub fn route<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, cons
     services_wake: Option<LocalTicks>,
     now: LocalTicks,
 ) -> Next {
-    links.receive(node, now);
+    let _ended = links.receive(node, now);
+    forward(node, links, services_wake, now)
+}
+
+/// The rest of a turn, after [`Links::receive`], for an image whose routing task is also woken by pieces of frames: it leaves this out
+/// where none ended and nothing else woke it.
+pub fn forward<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS: usize>(
+    node: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>,
+    links: &mut impl Links<SLOTS, BYTES, GATEWAYS, PORTS>,
+    services_wake: Option<LocalTicks>,
+    now: LocalTicks,
+) -> Next {
     node.run(now);
     links.transmit(node, now);
     let services_due = services_wake.is_some_and(|at| at <= now);
@@ -151,7 +161,7 @@ mod tests {
     }
 
     impl Wire for TestWire {
-        fn drain(&mut self, mut take: impl FnMut(&[u8], LocalTicks)) {
+        fn drain(&mut self, _now: LocalTicks, mut take: impl FnMut(&[u8], LocalTicks)) {
             for byte in self.came.drain(..) {
                 take(&[byte], LocalTicks::ZERO);
             }

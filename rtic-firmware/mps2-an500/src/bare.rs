@@ -48,14 +48,14 @@ mod app {
     #[task(binds = PORT0, priority = 2, local = [wires])]
     fn echo(cx: echo::Context) {
         for wire in cx.local.wires {
+            let now = now();
             let mut bytes = [0; 256];
             let mut len = 0;
-            wire.drain(|run, _| {
+            wire.drain(now, |run, _| {
                 let run = &run[..run.len().min(bytes.len() - len)];
                 bytes[len..len + run.len()].copy_from_slice(run);
                 len += run.len();
             });
-            let now = now();
             if len > 0
                 && let Some(at) = wire.clear_at(now)
             {

@@ -2,7 +2,7 @@
 
 #[rtic::app(device = board_rp2040_pico::pac, peripherals = true)]
 mod app {
-    use board_rp2040_pico::uart::{self, DmaUart, RxWatch};
+    use board_rp2040_pico::uart::{DmaUart, RxWatch};
     use board_rp2040_pico::{Board, clock};
     use firmware_app::Wire;
 
@@ -11,19 +11,19 @@ mod app {
 
     #[local]
     struct Local {
-        watches: [RxWatch; 2],
+        watch: RxWatch,
         uarts: [DmaUart; 2],
     }
 
     #[init]
     fn init(cx: init::Context) -> (Shared, Local) {
         let board = Board::init(cx.device, false);
-        (Shared {}, Local { watches: uart::watches(), uarts: board.uarts })
+        (Shared {}, Local { watch: RxWatch::new(), uarts: board.uarts })
     }
 
-    #[task(binds = DMA_IRQ_0, priority = 3, local = [watches])]
+    #[task(binds = DMA_IRQ_0, priority = 3, local = [watch])]
     fn receive(cx: receive::Context) {
-        if cx.local.watches.iter_mut().fold(false, |wake, watch| watch.take() | wake) {
+        if cx.local.watch.take() {
             rtic::pend(board_rp2040_pico::pac::Interrupt::SW0_IRQ);
         }
     }
@@ -35,7 +35,7 @@ mod app {
             let now = clock::now();
             let mut len = 0;
             let mut copy = [0; 256];
-            uart.drain(|run, _| {
+            uart.drain(now, |run, _| {
                 let fits = run.len().min(copy.len() - len);
                 copy[len..len + fits].copy_from_slice(&run[..fits]);
                 len += fits;

@@ -8,9 +8,11 @@ use board_rp2040_pico::clock::{self, Alarm};
 use board_rp2040_pico::pac::{Interrupt, Peripherals};
 use board_rp2040_pico::uart::DmaUart;
 use board_rp2040_pico::{Board, UART_BAUD};
+use core::sync::atomic::{AtomicBool, Ordering};
 use firmware_app::lock::NodeLock;
+use firmware_app::routing::{self, Links};
 use firmware_app::{Device, Link, Services, kind};
-use fixed_math::time::{LocalTicks, Span};
+use fixed_math::time::LocalTicks;
 use osap_protocol::discovery::{BuildKind, GatewayKind, Name, UniqueId};
 use osap_protocol::framing::Check;
 use osap_runtime::{GatewayConfig, Node};
@@ -26,8 +28,16 @@ const GATEWAYS: usize = 3;
 const PORTS: usize = 4;
 const MESSAGE_BYTES: usize = 1024;
 const FRAME_BYTES: usize = PACKET_BYTES + Check::Crc16.len();
-/// Routing runs at least so often, to feed the watchdog.
-const IDLE_US: u64 = 100_000;
+
+/// Routing has more to do than to take in bytes. Set at the priority of routing and below, so that reading and clearing it there are not
+/// come between.
+static ROUTE_ALL: AtomicBool = AtomicBool::new(true);
+
+/// Has routing look at everything.
+pub fn wake_routing() {
+    ROUTE_ALL.store(true, Ordering::Relaxed);
+    rtic::pend(ROUTE);
+}
 
 /// This image's node.
 pub type PicoNode = Node<SLOTS, PACKET_BYTES, GATEWAYS, PORTS>;
@@ -44,28 +54,34 @@ const UART: GatewayConfig = GatewayConfig {
     packet_hold_max: 6,
 };
 
+/// A UART's link.
+type UartLink = Link<DmaUart, PACKET_BYTES, FRAME_BYTES>;
+
 /// All links, in order of their gateways.
-pub struct Links {
-    uarts: [Link<DmaUart, PACKET_BYTES, FRAME_BYTES>; 2],
+pub struct PicoLinks {
+    uarts: [UartLink; 2],
     #[cfg(feature = "usb")]
     usb: Link<board_rp2040_pico::usb::UsbWire, PACKET_BYTES, FRAME_BYTES>,
 }
 
-impl Links {
+impl PicoLinks {
     /// Does what the USB asks for.
     pub fn poll_usb(&mut self) {
         #[cfg(feature = "usb")]
         self.usb.wire().poll();
     }
+}
 
-    fn receive(&mut self, node: &mut PicoNode, now: LocalTicks) {
-        self.uarts.iter_mut().for_each(|uart| uart.receive(node, now));
+impl Links<SLOTS, PACKET_BYTES, GATEWAYS, PORTS> for PicoLinks {
+    fn receive(&mut self, node: &mut PicoNode, now: LocalTicks) -> bool {
+        let ended = self.uarts.receive(node, now);
         #[cfg(feature = "usb")]
-        self.usb.receive(node, now);
+        let ended = ended | self.usb.receive(node, now);
+        ended
     }
 
     fn transmit(&mut self, node: &mut PicoNode, now: LocalTicks) {
-        self.uarts.iter_mut().for_each(|uart| uart.transmit(node, now));
+        self.uarts.transmit(node, now);
         #[cfg(feature = "usb")]
         self.usb.transmit(node, now);
     }
@@ -79,21 +95,18 @@ pub struct Routing {
 }
 
 impl Routing {
-    /// Takes in what came, routes, sends what goes; says whether a service has something to do.
-    pub fn run(&mut self, node: &mut PicoNode, links: &mut Links, due: Option<LocalTicks>) -> bool {
-        links.receive(node, clock::now());
-        let now = clock::now();
-        node.run(now);
-        links.transmit(node, now);
+    /// One turn of routing; says whether a service has something to do. Where no more came than pieces of frames it is a short one.
+    pub fn turn(&mut self, node: &mut PicoNode, links: &mut PicoLinks, services_wake: Option<LocalTicks>) -> bool {
+        let all = ROUTE_ALL.load(Ordering::Relaxed);
+        ROUTE_ALL.store(false, Ordering::Relaxed);
+        if !links.receive(node, clock::now()) && !all {
+            return false;
+        }
+        let next = routing::forward(node, links, services_wake, clock::now());
+        self.alarm.set(next.wake);
         #[cfg(feature = "watchdog")]
         self.watchdog.feed();
-        let wake = now + Span::from_us(IDLE_US);
-        let waiting = kind::HUB.service_ports().any(|port| node.waiting(port) > 0);
-        let is_due = due.is_some_and(|due| due <= now);
-        // a service that is due says itself when it is next
-        let due = due.filter(|_| !is_due);
-        self.alarm.set([node.next_wake(), due].into_iter().flatten().fold(wake, LocalTicks::min));
-        waiting || is_due
+        next.serve
     }
 }
 
@@ -126,7 +139,7 @@ impl<M: rtic::Mutex<T = PicoNode>> NodeLock for SharedNode<M> {
     }
 
     fn wake_routing(&mut self) {
-        rtic::pend(ROUTE);
+        wake_routing();
     }
 }
 
@@ -135,7 +148,7 @@ pub struct Parts {
     /// Shared by all below interrupts.
     pub node: PicoNode,
     /// Of routing and USB.
-    pub links: Links,
+    pub links: PicoLinks,
     /// Routing's own.
     pub routing: Routing,
     /// Serving's own.
@@ -162,7 +175,7 @@ pub fn start(peripherals: Peripherals) -> Parts {
         let config = GatewayConfig { type_name: "usb-cdc", bit_rate: 0, bits_a_byte: 8, check: Check::None, ..UART };
         Link::new(board.usb.expect("asked for"), config, &mut node).expect("a place for USB")
     };
-    let links = Links {
+    let links = PicoLinks {
         uarts,
         #[cfg(feature = "usb")]
         usb,

@@ -31,7 +31,7 @@ fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
 #[cfg(feature = "node")]
 #[rtic::app(device = board_rp2040_pico::pac, peripherals = true)]
 mod app {
-    use crate::device::{Keeper, Links, PicoNode, PicoServices, ROUTE, Routing, SERVE, SharedNode};
+    use crate::device::{Keeper, PicoLinks, PicoNode, PicoServices, ROUTE, Routing, SERVE, SharedNode, wake_routing};
     use board_rp2040_pico::clock::{self, Alarm};
     use board_rp2040_pico::uart::{self, RxWatch};
     use firmware_app::lock::SharedMailbox;
@@ -40,14 +40,14 @@ mod app {
     #[shared]
     struct Shared {
         node: PicoNode,
-        links: Links,
+        links: PicoLinks,
         /// When a service has something to send.
         due: Option<LocalTicks>,
     }
 
     #[local]
     struct Local {
-        watches: [RxWatch; 2],
+        watch: RxWatch,
         routing: Routing,
         services: PicoServices,
         keeper: Keeper,
@@ -56,8 +56,8 @@ mod app {
     #[init]
     fn init(cx: init::Context) -> (Shared, Local) {
         let crate::device::Parts { node, links, routing, services, keeper } = crate::device::start(cx.device);
-        rtic::pend(ROUTE);
-        (Shared { node, links, due: None }, Local { watches: uart::watches(), routing, services, keeper })
+        wake_routing();
+        (Shared { node, links, due: None }, Local { watch: RxWatch::new(), routing, services, keeper })
     }
 
     #[idle(local = [keeper], shared = [node])]
@@ -69,9 +69,9 @@ mod app {
         }
     }
 
-    #[task(binds = DMA_IRQ_0, priority = 3, local = [watches])]
+    #[task(binds = DMA_IRQ_0, priority = 3, local = [watch])]
     fn receive(cx: receive::Context) {
-        if cx.local.watches.iter_mut().fold(false, |wake, watch| watch.take() | wake) {
+        if cx.local.watch.take() {
             rtic::pend(ROUTE);
         }
     }
@@ -79,25 +79,26 @@ mod app {
     #[task(binds = DMA_IRQ_1, priority = 2)]
     fn transmitted(_: transmitted::Context) {
         uart::clear_transmitted();
-        rtic::pend(ROUTE);
+        wake_routing();
     }
 
     #[task(binds = TIMER_IRQ_0, priority = 2)]
     fn wake(_: wake::Context) {
         Alarm::clear();
-        rtic::pend(ROUTE);
+        wake_routing();
     }
 
     #[task(binds = USBCTRL_IRQ, priority = 2, shared = [links])]
     fn usb(mut cx: usb::Context) {
-        cx.shared.links.lock(Links::poll_usb);
-        rtic::pend(ROUTE);
+        cx.shared.links.lock(PicoLinks::poll_usb);
+        wake_routing();
     }
 
     #[task(binds = SW0_IRQ, priority = 2, shared = [node, links, due], local = [routing])]
     fn route(cx: route::Context) {
         let routing = cx.local.routing;
-        let serve = (cx.shared.node, cx.shared.links, cx.shared.due).lock(|node, links, due| routing.run(node, links, *due));
+        let mut shared = (cx.shared.node, cx.shared.links, cx.shared.due);
+        let serve = shared.lock(|node, links, due| routing.turn(node, links, *due));
         if serve {
             rtic::pend(SERVE);
         }
@@ -109,6 +110,6 @@ mod app {
         while cx.local.services.serve_next(&mut mailbox, clock::now()) {}
         let next = cx.local.services.next_wake();
         cx.shared.due.lock(|due| *due = next);
-        rtic::pend(ROUTE);
+        wake_routing();
     }
 }
