@@ -25,6 +25,9 @@ struct Args {
     /// One JSON document on stdout
     #[arg(long, global = true)]
     json: bool,
+    /// A real board in place of an emulated one: `rp2040-pico=/dev/ttyACM0`
+    #[arg(long, value_name = "IMAGE=TTY", global = true, value_parser = board)]
+    board: Option<PathBuf>,
     #[command(subcommand)]
     command: Option<Command>,
 }
@@ -41,7 +44,7 @@ enum Command {
 
 fn main() -> ExitCode {
     let args = Args::parse();
-    let context = Context { places: Places::new(args.images), seed: args.seed };
+    let context = Context { places: Places::new(args.images), seed: args.seed, board: args.board };
     let scenarios = match args.command {
         None | Some(Command::List) => {
             list();
@@ -74,6 +77,14 @@ fn main() -> ExitCode {
         many => println!("{:#}", serde_json::Value::from(many.to_vec())),
     }
     if failed == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
+
+/// The serial port of `rp2040-pico=TTY`.
+fn board(text: &str) -> Result<PathBuf, String> {
+    match text.split_once('=') {
+        Some(("rp2040-pico", path)) if !path.is_empty() => Ok(path.into()),
+        _ => Err("a board is given as its image and where it is plugged in: rp2040-pico=/dev/ttyACM0".to_owned()),
+    }
 }
 
 /// A scenario that could not go on: failed, or not run at all.

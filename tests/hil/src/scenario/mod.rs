@@ -4,10 +4,12 @@
 //! - **Invariants:** a scenario ends the processes it started; one seed gives one run, where virtual time is used.
 
 mod round_trip;
+mod scan;
 
 use crate::images::Places;
 use crate::report::{Failure, Report};
 use clap::Subcommand;
+use std::path::PathBuf;
 
 /// What scenarios are given.
 #[derive(Clone, Debug)]
@@ -16,11 +18,24 @@ pub struct Context {
     pub places: Places,
     /// Where random numbers begin.
     pub seed: u64,
+    /// The serial port of a real Pico that takes the emulated one's place.
+    pub board: Option<PathBuf>,
 }
 
 /// What can be shown.
 #[derive(Clone, Debug, Subcommand)]
 pub enum Scenario {
+    /// Scans of an emulated Cortex-M7 hub, a Cortex-M7 device and an RP2040, in every order of start, with restarts
+    Scan,
+    /// The same network left running, for `osap` in another terminal
+    Up {
+        /// TCP port it listens at; 0 for any that is free
+        #[arg(long, default_value_t = 4100)]
+        port: u16,
+        /// Ends after so many seconds
+        #[arg(long = "for", value_name = "SECONDS")]
+        seconds: Option<u64>,
+    },
     /// Round trips of the 76-byte answer through a Pico hub to a Pico and to one alone, in virtual time: wire and processing apart
     RoundTrip {
         /// Questions to each
@@ -33,13 +48,15 @@ impl Scenario {
     /// Those that `all` runs, with what they are given there.
     #[must_use]
     pub fn all() -> Vec<Self> {
-        vec![Self::RoundTrip { count: 250 }]
+        vec![Self::Scan, Self::RoundTrip { count: 250 }]
     }
 
     /// As it is called on the command line.
     #[must_use]
     pub const fn name(&self) -> &'static str {
         match self {
+            Self::Scan => "scan",
+            Self::Up { .. } => "up",
             Self::RoundTrip { .. } => "round-trip",
         }
     }
@@ -50,6 +67,8 @@ impl Scenario {
     /// [`Failure`] where it ended early.
     pub fn run(&self, context: &Context) -> Result<Report, Failure> {
         match self {
+            Self::Scan => scan::run(context),
+            Self::Up { port, seconds } => scan::up(context, *port, *seconds),
             Self::RoundTrip { count } => round_trip::run(context, *count),
         }
     }
