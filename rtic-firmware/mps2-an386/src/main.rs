@@ -1,13 +1,13 @@
 //! The image for QEMU's `mps2-an386`: five UARTs, a node, services.
 //!
-//! | task                   | bound to     | priority | period / deadline     | shares                 | worst cycles     |
-//! |------------------------|--------------|----------|-----------------------|------------------------|------------------|
-//! | `wake`                 | TIMER1       | 3        | set by `route`        | -                      | not counted:     |
-//! | `link0_rx`–`link4_rx`  | `UARTnRX`    | 3        | 6.4 µs: the next byte | receive rings          | QEMU knows no    |
-//! | `link0_tx`–`link4_tx`  | `UARTnTX`    | 3        | none: the wire idles  | frame buffers          | cycles           |
-//! | `route`                | PORT0, spare | 2        | packet TTL; 100 ms    | node, services' alarm  |                  |
-//! | `serve`                | PORT1, spare | 1        | packet TTL            | node, services' alarm  |                  |
-//! | `idle`                 | -            | 0        | none                  | node, settings         | -                |
+//! | task                  | bound to     | priority | period / deadline     | shares                | worst cycles |
+//! |-----------------------|--------------|----------|-----------------------|-----------------------|--------------|
+//! | `wake`                | TIMER1       | 3        | set by `route`        | -                     | not modelled |
+//! | `link0_rx`–`link4_rx` | `UARTnRX`    | 3        | 6.4 µs: the next byte | receive rings         | not modelled |
+//! | `link0_tx`–`link4_tx` | `UARTnTX`    | 3        | none: the wire idles  | frame buffers         | not modelled |
+//! | `route`               | PORT0, spare | 2        | packet TTL; 100 ms    | node, services' alarm | not modelled |
+//! | `serve`               | PORT1, spare | 1        | packet TTL            | node, services' alarm | not modelled |
+//! | `idle`                | -            | 0        | none                  | node, settings        | -            |
 //!
 //! It has everything, always: no features to leave out. Walk, invariants, context and clauses are those of the image `mps2-an500`.
 #![no_std]

@@ -1,13 +1,13 @@
 //! The image for QEMU's `mps2-an500`: five UARTs, a node, services.
 //!
-//! | task                   | bound to     | priority | period / deadline     | shares                 | worst cycles     |
-//! |------------------------|--------------|----------|-----------------------|------------------------|------------------|
-//! | `wake`                 | TIMER1       | 3        | set by `route`        | -                      | not counted:     |
-//! | `link0_rx`–`link4_rx`  | `UARTnRX`    | 3        | 6.4 µs: the next byte | receive rings          | QEMU knows no    |
-//! | `link0_tx`–`link4_tx`  | `UARTnTX`    | 3        | none: the wire idles  | frame buffers          | cycles           |
-//! | `route`                | PORT0, spare | 2        | packet TTL; 100 ms    | node, services' alarm  |                  |
-//! | `serve`                | PORT1, spare | 1        | packet TTL            | node, services' alarm  |                  |
-//! | `idle`                 | -            | 0        | none                  | node, settings         | -                |
+//! | task                  | bound to     | priority | period / deadline     | shares                | worst cycles |
+//! |-----------------------|--------------|----------|-----------------------|-----------------------|--------------|
+//! | `wake`                | TIMER1       | 3        | set by `route`        | -                     | not modelled |
+//! | `link0_rx`–`link4_rx` | `UARTnRX`    | 3        | 6.4 µs: the next byte | receive rings         | not modelled |
+//! | `link0_tx`–`link4_tx` | `UARTnTX`    | 3        | none: the wire idles  | frame buffers         | not modelled |
+//! | `route`               | PORT0, spare | 2        | packet TTL; 100 ms    | node, services' alarm | not modelled |
+//! | `serve`               | PORT1, spare | 1        | packet TTL            | node, services' alarm | not modelled |
+//! | `idle`                | -            | 0        | none                  | node, settings        | -            |
 //!
 //! - **Walk:** a receive interrupt fills its ring, and pends `route` when a frame has ended. `route` takes in all that came, answers the
 //!   network, sends what can leave, and pends `serve` where a port has a packet. A frame that has left pends `route` again.
@@ -16,8 +16,9 @@
 //! - **Context:** this file is the table; what a task does is in the board (interrupts) or in `firmware-app` (all else).
 //! - **Clauses:** `[NOD-06]`, `[NOD-08]`, `[NOD-12]`, `[DSC-05]`, `[DSC-06]`.
 //!
-//! The feature `probe` adds an interrupt at priority 3 that counts how long it waited: see the board's `latency`. On a real AN500 a receive
-//! interrupt would have 6.4 µs, 160 cycles, for a byte at 1.5625 Mbaud on each of five UARTs.
+//! QEMU has instructions and no cycles, so those of the tasks are counted on other chips. The feature `probe` adds an interrupt at
+//! priority 3 that counts how long it waited: see the board's `latency`. On a real AN500 a receive interrupt would have 6.4 µs, 160
+//! cycles, for a byte at 1.5625 Mbaud on each of five UARTs.
 #![no_std]
 #![no_main]
 
