@@ -213,10 +213,9 @@ impl Cosim {
     /// [`CosimError::Start`].
     pub fn start(server: &Path) -> Result<Self, CosimError> {
         let fail = |source| CosimError::Start { server: server.to_owned(), source };
-        if !server.is_file() {
-            return Err(fail(io::ErrorKind::NotFound.into()));
-        }
-        let spawned = Command::new("node").arg(server).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn();
+        // the server compares its own name with the one it was started by
+        let script = server.canonicalize().map_err(fail)?;
+        let spawned = Command::new("node").arg(script).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn();
         let mut child = spawned.map_err(fail)?;
         let pipes = child.stdin.take().zip(child.stdout.take());
         let (to, from) = pipes.ok_or_else(|| fail(io::ErrorKind::BrokenPipe.into()))?;

@@ -7,6 +7,7 @@
 //! - **Context:** a workstation with QEMU and Node.js; `cargo xtask hil` makes sure of both.
 #![forbid(unsafe_code)]
 
+pub mod account;
 pub mod bridge;
 pub mod cosim;
 pub mod images;
@@ -16,3 +17,4 @@ pub mod pico;
 pub mod qemu;
 pub mod report;
 pub mod scenario;
+pub mod traffic;

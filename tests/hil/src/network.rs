@@ -156,7 +156,8 @@ impl CosimNetwork {
             next = next.min(if wake > now { first_ns(wake) } else { now_ns + PATIENCE_NS });
         }
         for link in &self.links {
-            if link.busy_until_ns > now_ns && self.core.has_output(link.gateway, now) {
+            // a link that becomes free is looked at, so that a task which keeps it busy can
+            if link.busy_until_ns > now_ns {
                 next = next.min(link.busy_until_ns);
             }
         }

@@ -50,7 +50,7 @@ impl std::fmt::Debug for Bench {
 }
 
 impl Bench {
-    /// Whatever `wire_up` adds, with the host at `ports`, after its boot.
+    /// Whatever `wire_up` adds, with the host at `ports`, after its boot. Frames are kept from power-on where `keeps_frames` says so.
     ///
     /// # Errors
     /// [`Failure`] where an image is missing or the co-simulation refuses.
@@ -58,6 +58,7 @@ impl Bench {
         places: &Places,
         seed: u64,
         ports: &[HostPort],
+        keeps_frames: bool,
         wire_up: impl FnOnce(&mut Cosim, &Path) -> Result<(), Failure>,
     ) -> Result<Self, Failure> {
         let elf = places.image(Image::Rp2040Pico)?;
@@ -66,6 +67,7 @@ impl Bench {
         let cosim = Rc::new(RefCell::new(cosim));
         let network = CosimNetwork::new(Rc::clone(&cosim), ports, seed);
         let journal = network.journal();
+        journal.borrow_mut().keeps_frames = keeps_frames;
         let mut bench = Self { cosim, session: Session::over(network), journal };
         bench.run_for(BOOT_NS)?;
         Ok(bench)
@@ -76,7 +78,7 @@ impl Bench {
     /// # Errors
     /// [`Failure`].
     pub fn device(places: &Places, seed: u64) -> Result<Self, Failure> {
-        Self::build(places, seed, &[HostPort::uart("host")], |cosim, elf| {
+        Self::build(places, seed, &[HostPort::uart("host")], false, |cosim, elf| {
             cosim.chip(&pico("device", elf, 0xd1, MOTOR))?;
             Ok(cosim.port("host", ("device", 0), BAUD, None)?)
         })
@@ -87,7 +89,7 @@ impl Bench {
     /// # Errors
     /// [`Failure`].
     pub fn hub_and_device(places: &Places, seed: u64, faults: Option<WireFaults>) -> Result<Self, Failure> {
-        Self::build(places, seed, &[HostPort::uart("host")], |cosim, elf| {
+        Self::build(places, seed, &[HostPort::uart("host")], false, |cosim, elf| {
             cosim.chip(&pico("hub", elf, 0xa1, HUB))?;
             cosim.chip(&pico("device", elf, 0xd1, MOTOR))?;
             cosim.wire("inner", ("hub", 1), ("device", 0), faults)?;
@@ -96,16 +98,19 @@ impl Bench {
         })
     }
 
-    /// A Pico `hub` with the host at both its UARTs: link 0 is at its first, link 1 at its second.
+    /// A Pico `hub` with the host at both its UARTs: link 0, `a`, is at its first, link 1, `b`, at its second. Both are tapped, and frames are
+    /// kept from power-on.
     ///
     /// # Errors
     /// [`Failure`].
     pub fn loop_through_hub(places: &Places, seed: u64, faults: Option<WireFaults>) -> Result<Self, Failure> {
-        Self::build(places, seed, &[HostPort::uart("a"), HostPort::uart("b")], |cosim, elf| {
+        Self::build(places, seed, &[HostPort::uart("a"), HostPort::uart("b")], true, |cosim, elf| {
             cosim.chip(&pico("hub", elf, 0xa1, HUB))?;
             cosim.port("a", ("hub", 0), BAUD, faults)?;
             let other = faults.map(|faults| WireFaults { seed: faults.seed.wrapping_add(1), ..faults });
-            Ok(cosim.port("b", ("hub", 1), BAUD, other)?)
+            cosim.port("b", ("hub", 1), BAUD, other)?;
+            cosim.tap("a")?;
+            Ok(cosim.tap("b")?)
         })
     }
 

@@ -66,10 +66,10 @@ export class Line {
     this.tapped = [];
   }
 
-  /** Notes what arrives, where the line is tapped. @param {Frame} frame */
-  observe(frame) {
+  /** Notes what passes, where the line is tapped. @param {Frame} frame @param {number} shiftNs */
+  observe(frame, shiftNs = 0) {
     if (!this.tap) return;
-    const startNs = frame.startNs + this.delayNs;
+    const startNs = frame.startNs + this.delayNs + shiftNs;
     const event = this.tap.push(frame.data & 0xff, startNs, startNs + frame.bits * frame.bitNs);
     if (event) this.tapped.push(event);
   }
@@ -175,6 +175,7 @@ class LineOutside extends Line {
   *arrived(nowNs) {
     while (this.nextNs <= nowNs) {
       const endNs = this.nextNs;
+      this.observe(this.queue[0], -this.delayNs);
       const frame = this.pass(/** @type {Frame} */ (this.queue.shift()));
       if (frame) yield { byte: sample(frame, this.bitNs, 8) & 0xff, startNs: frame.startNs, endNs };
     }
@@ -206,6 +207,17 @@ export class Port {
   /** @param {boolean} isCut */
   set cut(isCut) {
     for (const line of this.lines) line.isCut = isCut;
+  }
+
+  /** From now on what reaches the chip is told as `name:ab`, and what it sends, before any fault, as `name:ba`. */
+  tap() {
+    this.toChip.tap ??= new Delimiter(`${this.name}:ab`);
+    this.outside.tap ??= new Delimiter(`${this.name}:ba`);
+  }
+
+  /** What passed since the last call. @returns {PortEvent[]} */
+  tapped() {
+    return this.lines.flatMap((line) => line.tapped.splice(0));
   }
 
   /** @param {Uint8Array} bytes @param {number} earliestNs */

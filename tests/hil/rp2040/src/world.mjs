@@ -105,9 +105,9 @@ export class World {
 
   /** @param {string} name */
   tap(name) {
-    const wire = this.wires.get(name);
-    if (!wire) throw new Error(`no wire "${name}"; there are: ${[...this.wires.keys()].join(', ') || 'none'}`);
-    wire.tap();
+    const line = this.wires.get(name) ?? this.ports.get(name);
+    if (!line || line instanceof UsbPort) throw new Error(`no wire or UART port "${name}"`);
+    line.tap();
   }
 
   /** @returns {number} the longest quantum that is safe at the rates now set */
@@ -143,7 +143,9 @@ export class World {
       this.nowNs = next;
       if (stop && this.events.length > 0) break;
     }
-    for (const wire of this.wires.values()) this.events.push(...wire.tapped());
+    for (const line of [...this.wires.values(), ...this.ports.values()]) {
+      if (!(line instanceof UsbPort)) this.events.push(...line.tapped());
+    }
     return { now_ns: this.nowNs, events: this.events.splice(0) };
   }
 

@@ -5,6 +5,7 @@
 
 mod round_trip;
 mod scan;
+mod soak;
 
 use crate::images::Places;
 use crate::report::{Failure, Report};
@@ -42,13 +43,22 @@ pub enum Scenario {
         #[arg(long, default_value_t = 250)]
         count: u32,
     },
+    /// Full load through a Pico hub both ways, with byte errors on both links: nothing delivered wrong, every loss accounted for
+    Soak {
+        /// Virtual milliseconds
+        #[arg(long, default_value_t = 60_000)]
+        ms: u64,
+        /// Part of the bytes in which a bit is turned over
+        #[arg(long, default_value_t = 1e-5)]
+        errors: f64,
+    },
 }
 
 impl Scenario {
     /// Those that `all` runs, with what they are given there.
     #[must_use]
     pub fn all() -> Vec<Self> {
-        vec![Self::Scan, Self::RoundTrip { count: 250 }]
+        vec![Self::Scan, Self::RoundTrip { count: 250 }, Self::Soak { ms: 2_000, errors: 1e-5 }]
     }
 
     /// As it is called on the command line.
@@ -58,6 +68,7 @@ impl Scenario {
             Self::Scan => "scan",
             Self::Up { .. } => "up",
             Self::RoundTrip { .. } => "round-trip",
+            Self::Soak { .. } => "soak",
         }
     }
 
@@ -70,6 +81,7 @@ impl Scenario {
             Self::Scan => scan::run(context),
             Self::Up { port, seconds } => scan::up(context, *port, *seconds),
             Self::RoundTrip { count } => round_trip::run(context, *count),
+            Self::Soak { ms, errors } => soak::run(context, *ms, *errors),
         }
     }
 }
