@@ -131,7 +131,9 @@ export class LineToChip extends Line {
     const length = uart.divisor > 0 ? uart.receiveNs / chip.rate : frame.bits * frame.bitNs;
     const dueNs = frame.startNs + this.delayNs + length;
     this.queue.push({ frame, dueNs });
-    if (chip.toLocal(dueNs) < chip.clock.nanos) this.late++;
+    if (chip.toLocal(dueNs) < chip.clock.nanos && this.late++ === 0) {
+      console.error(`${chip.name}: UART${this.uart}: a character came late; its rate changed within a quantum`);
+    }
     if (this.queue.length === 1) this.#arm();
   }
 

@@ -246,6 +246,37 @@ test('a higher priority preempts, an equal one waits (ARMv6-M ARM, exception pri
   assert.deepEqual([word(RAM + 8), word(RAM + 4), word(RAM + 12)], [1, 2, 3]);
 });
 
+test('the stacked frame is aligned to eight bytes, and the return undoes it (ARMv6-M ARM, PushStack())', () => {
+  const program = new Program()
+    .op(push(1))
+    .poke(ISER, (1 << SW0) >>> 0)
+    .load(2, 0x12345678);
+  // r4 and r5 are the stack pointer before and after.
+  program
+    .op(0x466c)
+    .poke(ISPR, (1 << SW0) >>> 0)
+    .op(NOP, 0x466d);
+  program
+    .keep(RAM + 4, 4)
+    .keep(RAM + 8, 5)
+    .keep(RAM + 12, 6)
+    .label('end')
+    .op(WFI)
+    .branch('end');
+  // r6 is the stacked r2: kept over the return in a register that is not stacked.
+  program
+    .handler(16 + SW0)
+    .op(0x466e, ldr(6, 6, 8))
+    .load(0, RAM + 16)
+    .op(0x4669, str(1, 0), BX_LR);
+  const { chip, word } = program.chip();
+  chip.runTo(20_000);
+  assert.equal(word(RAM + 4), STACK_TOP - 4);
+  assert.equal(word(RAM + 16), (STACK_TOP - 4 - 0x20) & ~7, 'the stack pointer in the handler');
+  assert.equal(word(RAM + 12), 0x12345678, 'r2 in its place');
+  assert.equal(word(RAM + 8), STACK_TOP - 4);
+});
+
 test('VTOR moves the vector table (ARMv6-M ARM, VTOR)', () => {
   const program = new Program()
     .poke(VTOR, RAM + 0x400)

@@ -178,7 +178,26 @@ test('a tap tells what passes on a wire, both ways, and stops nothing', () => {
   assert.deepEqual([ab.port, ab.bytes, ba.port, ba.bytes], ['w:ab', '00', 'w:ba', '0100']);
   assert.ok(Math.abs(ab.start_ns - from - 700) < 1e-6);
   assert.ok(Math.abs(ab.end_ns - ab.start_ns - 10 * BIT_NS) < 1e-6);
-  assert.throws(() => made.tap('x'), /no wire "x"/);
+  assert.throws(() => made.tap('x'), /"x"/);
+});
+
+test('a tapped port tells what the chip sends before any fault', () => {
+  const made = world({ a: echo().chip().chip });
+  outside(made, 'p', 'a');
+  made.tap('p');
+  made.run(50_000, false);
+  const [, fromChip] = made.port('p').lines;
+  Object.assign(fromChip, { lossRate: 1 });
+  made.send('p', Uint8Array.of(7, 0xff, 0), undefined);
+  const events = /** @type {import('../src/wire.mjs').PortEvent[]} */ (made.run(200_000, false).events);
+  assert.deepEqual(
+    events.map(({ port, bytes }) => [port, bytes]),
+    [
+      ['p:ab', '07ff00'],
+      ['p:ba', '0800'],
+    ],
+  );
+  assert.equal(fromChip.lost, 3);
 });
 
 test('a cut wire carries nothing, and carries again', () => {
@@ -209,6 +228,24 @@ test('a chip that is off or resets receives what begins after its boot', () => {
   assert.equal(events.length, 1);
   assert.equal(made.report().wires[0].bytes_ab, 2);
   assert.equal(chip.counters[1].rxBytes, 1);
+});
+
+test('a character that is under way during a reset is not received', () => {
+  const made = world({ a: echo().chip().chip });
+  const chip = made.chip('a');
+  outside(made, 'p', 'a');
+  made.run(50_000, false);
+  made.send('p', Uint8Array.of(1, 2), 50_000);
+  made.run(50_000 + 4_500, false);
+  chip.reset(made.nowNs);
+  /** @type {number[]} */
+  const seen = [];
+  chip.uarts[1].receive = (frame) => seen.push(frame.data);
+  made.run(100_000, false);
+  assert.deepEqual(seen, [], 'the first was received before, the second had begun');
+  made.send('p', Uint8Array.of(3), undefined);
+  made.run(200_000, false);
+  assert.deepEqual(seen, [3]);
 });
 
 test('idle chips are skipped over: a second of sleep is few steps', () => {
