@@ -30,7 +30,9 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
 {
     /// Answers every query that waits, at most one a slot.
     pub(crate) fn answer_queries(&mut self, now: LocalTicks) {
-        while let Some(delivery) = self.take(PortIndex::NETRESPONDER, now) {
+        while self.waiting(PortIndex::NETRESPONDER) > 0 {
+            // what has expired is taken for nobody
+            let Some(delivery) = self.take(PortIndex::NETRESPONDER, now) else { break };
             self.answer(delivery, now);
         }
     }

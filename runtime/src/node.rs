@@ -267,7 +267,15 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
     }
 
     /// Drops every stacked packet whose deadline has come, `[NOD-04]`.
+    #[inline]
     pub(crate) fn expire(&mut self, now: LocalTicks) {
+        if self.stack.earliest_deadline(&self.pool).is_some_and(|deadline| deadline <= now) {
+            self.drop_expired(now);
+        }
+    }
+
+    #[cold]
+    fn drop_expired(&mut self, now: LocalTicks) {
         while let Some(id) = self.stack.take_expired(&mut self.pool, now) {
             self.leave_stack(&id);
             self.discard(id, DropCause::Expired, now);

@@ -4,15 +4,15 @@
 //! word to the stamp ring, then the first waits for the next byte. So a stamp is late by a few clock cycles, however long interrupts are
 //! masked or the processor is busy.
 //!
-//! - **Walk:** UART → rings → [`RxWatch::take`] (interrupt) wakes routing → [`Wire::drain`]; [`Wire::send`] → DMA → UART.
-//! - **Invariants:** the rings hold [`RING_BYTES`] bytes, 1.7 ms at 3 Mbaud. A ring that was lapped is noticed by the count of bytes, which
-//!   the interrupt keeps: it comes at least once a lap unless interrupts are masked for as long.
-//! - **Context:** [`RxWatch`] in `DMA_IRQ_0`, O(bytes since); the rest in the routing task; `DMA_IRQ_1` says that a frame has gone to the
+//! - **Walk:** UART → rings → [`receive`] (interrupt) wakes routing → [`Wire::drain`]; [`Wire::send`] → DMA → UART.
+//! - **Invariants:** the rings hold [`RING_BYTES`] bytes, 1.7 ms at 3 Mbaud. A ring that was lapped is noticed by its stamps. Between waking
+//!   routing and being drained a UART interrupts no more, so that a busy device spends its time on frames and not on bytes.
+//! - **Context:** [`receive`] in `DMA_IRQ_0`, O(bytes since); the rest in the routing task; `DMA_IRQ_1` says that a frame has gone to the
 //!   UART, whose FIFO still holds up to 32 bytes of it. **Clauses:** `[FRM-08]`, `[NOD-08]`.
 
 use crate::{UART_BAUD, clock};
 use core::cell::UnsafeCell;
-use core::sync::atomic::{AtomicU32, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use firmware_app::Wire;
 use fixed_math::time::{LocalTicks, Span};
 use osap_protocol::framing::{Check, DELIMITER, encoded_len_max};
@@ -24,11 +24,14 @@ const RING_BITS: u32 = 9;
 const RING_MASK: usize = RING_BYTES - 1;
 /// The longest frame: a packet of 256 bytes.
 const FRAME_BYTES: usize = encoded_len_max(256, Check::Crc32);
-/// Routing is woken after so many bytes although no frame has ended, so that most of it is unstuffed when it does.
-const WAKE_MASK: u32 = 0xf;
+/// Routing is woken where a place of the ring that is a multiple of this is passed, although no frame has ended, so that most of it is
+/// unstuffed when it does.
+const WAKE_MASK: usize = 31;
 /// 1/256 µs a byte of ten bits takes, times 2^8.
 const BYTE_STEPS_Q8: u32 = ((10 * 256 * 256 * 1_000_000_u64) / UART_BAUD as u64) as u32;
 
+/// A ring cannot be lapped in less: all its bytes on end, less one for good measure.
+const LAP_MIN: Span = Span::from_steps((RING_BYTES as u64 - 1) * BYTE_STEPS_Q8 as u64 >> 8);
 /// Bytes that a UART's transmitter holds.
 const FIFO_BYTES: usize = 32;
 /// Permanent request: a transfer that waits for nothing.
@@ -75,8 +78,10 @@ unsafe impl Sync for FrameRoom {}
 static RX_STAMP_BUFFER: [Stamps; 2] = [const { Stamps(UnsafeCell::new([0; RING_BYTES])) }; 2];
 static RX_BYTE_BUFFER: [Bytes; 2] = [const { Bytes(UnsafeCell::new([0; RING_BYTES])) }; 2];
 static TX_FRAME_BUFFER: [FrameRoom; 2] = [const { FrameRoom(UnsafeCell::new([0; FRAME_BYTES])) }; 2];
-/// Bytes that have come, counted by the interrupt.
-static RX_TOTAL: [AtomicU32; 2] = [const { AtomicU32::new(0) }; 2];
+/// Place up to which bytes were looked at: by the interrupt, or by routing while the interrupt is off.
+static RX_SEEN: [AtomicUsize; 2] = [const { AtomicUsize::new(0) }; 2];
+/// The interrupt is off, as there is something to drain. Set by the interrupt, cleared by routing before it looks at the ring.
+static RX_WAITS: [AtomicBool; 2] = [const { AtomicBool::new(false) }; 2];
 
 /// DMA channels of one UART.
 #[derive(Clone, Copy)]
@@ -96,19 +101,13 @@ pub struct DmaUart {
     number: usize,
     /// Place of the next byte to hand over.
     read: usize,
-    /// Bytes handed over or passed over.
-    consumed: u32,
+    /// When the ring was last drained.
+    drained_at: LocalTicks,
     overruns: u32,
     /// Bytes of the frame in work that the UART has already.
     head: usize,
     /// When the last byte given to the UART has left.
     sent_at: LocalTicks,
-}
-
-/// What the receive interrupt keeps of both UARTs: the place of the next byte to look at.
-#[derive(Debug, Default)]
-pub struct RxWatch {
-    seen: [usize; 2],
 }
 
 /// Sets all channels going. The UARTs are enabled already.
@@ -126,7 +125,14 @@ pub(crate) fn start(dma: &pac::DMA, resets: &mut pac::RESETS) -> [DmaUart; 2] {
         dma.inte0().write(|w| w.bits(receive));
         dma.inte1().write(|w| w.bits(transmit));
     }
-    [0, 1].map(|number| DmaUart { number, read: 0, consumed: 0, overruns: 0, head: 0, sent_at: LocalTicks::ZERO })
+    [0, 1].map(|number| DmaUart {
+        number,
+        read: 0,
+        drained_at: LocalTicks::ZERO,
+        overruns: 0,
+        head: 0,
+        sent_at: LocalTicks::ZERO,
+    })
 }
 
 fn start_receiver(dma: &pac::DMA, number: usize) {
@@ -163,42 +169,47 @@ fn start_receiver(dma: &pac::DMA, number: usize) {
     }
 }
 
-impl RxWatch {
-    /// Nothing seen yet.
-    #[must_use]
-    pub const fn new() -> Self {
-        Self { seen: [0; 2] }
-    }
-
-    /// Counts what has come; says whether routing has something to do: a frame has ended, or many bytes wait.
-    pub fn take(&mut self) -> bool {
-        let pending = dma().ints0().read().bits();
-        // SAFETY: ending interrupts that are this one's
-        dma().intr().write(|w| unsafe { w.bits(pending) });
-        let mut wake = false;
-        for (number, seen) in self.seen.iter_mut().enumerate() {
-            if pending & 1 << CHANNELS[number].bytes != 0 {
-                wake |= look(number, seen);
-            }
-        }
-        wake
-    }
+/// What the receive interrupt does: says whether routing has something to do, since a frame has ended or many bytes wait. The UART it is
+/// said for interrupts no more until it was drained.
+#[must_use]
+pub fn receive() -> bool {
+    let pending = dma().ints0().read().bits();
+    // SAFETY: ending interrupts that are this one's
+    dma().intr().write(|w| unsafe { w.bits(pending) });
+    look::<0>(pending) | look::<1>(pending)
 }
 
-/// Looks at the bytes of one UART from place `seen` on.
-fn look(number: usize, seen: &mut usize) -> bool {
-    let end = ring_place(dma().ch(CHANNELS[number].bytes).ch_write_addr().read().bits(), 0);
-    let total = &RX_TOTAL[number];
-    // this interrupt is the only writer, so no read-modify-write is needed, which a Cortex-M0+ does not have
-    let mut count = total.load(Ordering::Relaxed);
-    let mut wake = false;
-    while *seen != end {
-        count = count.wrapping_add(1);
-        wake |= byte_at(number, *seen) == DELIMITER || count & WAKE_MASK == 0;
-        *seen = (*seen + 1) & RING_MASK;
+/// Looks at the bytes of one UART that have come since.
+#[inline(always)]
+fn look<const NUMBER: usize>(pending: u32) -> bool {
+    let channel = CHANNELS[NUMBER].bytes;
+    if pending & 1 << channel == 0 {
+        return false;
     }
-    total.store(count, Ordering::Relaxed);
+    let end = ring_place(dma().ch(channel).ch_write_addr().read().bits(), 0);
+    let mut seen = RX_SEEN[NUMBER].load(Ordering::Relaxed);
+    let mut wake = false;
+    while seen != end {
+        wake |= byte_at(NUMBER, seen) == DELIMITER || seen & WAKE_MASK == WAKE_MASK;
+        seen = (seen + 1) & RING_MASK;
+    }
+    RX_SEEN[NUMBER].store(end, Ordering::Relaxed);
+    if wake {
+        set_interrupt(NUMBER, false);
+        RX_WAITS[NUMBER].store(true, Ordering::Relaxed);
+    }
     wake
+}
+
+/// Lets a receiver interrupt or not. By the registers' aliases that set and clear bits (RP2040, 2.1.2), so that interrupt and routing do not
+/// undo each other's.
+#[inline(always)]
+fn set_interrupt(number: usize, on: bool) {
+    const SET: usize = 0x2000;
+    const CLEAR: usize = 0x3000;
+    let alias = dma().inte0().as_ptr().wrapping_byte_add(if on { SET } else { CLEAR });
+    // SAFETY: an alias of the register; a bit of this module's channel
+    unsafe { alias.write_volatile(1 << CHANNELS[number].bytes) };
 }
 
 /// Ends the interrupts of frames that have gone to their UARTs; routing may have the next ones.
@@ -208,22 +219,43 @@ pub fn clear_transmitted() {
     dma().intr().write(|w| unsafe { w.bits(both) });
 }
 
+impl DmaUart {
+    /// Where the next stamp will stand, and the one that stands there now: as long as a byte does not come in between.
+    fn end_and_stamp(&self) -> (usize, u32) {
+        loop {
+            let end = self.end();
+            let stamp = stamp_at(self.number, end);
+            if self.end() == end {
+                return (end, stamp);
+            }
+        }
+    }
+
+    /// Place behind what has come: a byte is there once its stamp is.
+    fn end(&self) -> usize {
+        ring_place(dma().ch(CHANNELS[self.number].stamps).ch_write_addr().read().bits(), 2)
+    }
+}
+
 impl Wire for DmaUart {
     fn drain(&mut self, now: LocalTicks, mut take: impl FnMut(&[u8], LocalTicks)) {
-        let come = RX_TOTAL[self.number].load(Ordering::Relaxed).wrapping_sub(self.consumed).cast_signed();
-        // a byte is there once its stamp is
-        let end = ring_place(dma().ch(CHANNELS[self.number].stamps).ch_write_addr().read().bits(), 2);
-        if come >= RING_BYTES.cast_signed() as i32 {
+        // what has come of a frame that has not ended can wait
+        if !RX_WAITS[self.number].load(Ordering::Relaxed) {
+            return;
+        }
+        RX_WAITS[self.number].store(false, Ordering::Relaxed);
+        let (end, oldest) = self.end_and_stamp();
+        // what comes from here on interrupts; what came up to `end` is taken now
+        RX_SEEN[self.number].store(end, Ordering::Relaxed);
+        set_interrupt(self.number, true);
+        // without a lap the place written next holds a stamp from before the last drain, as all that came since stands before it
+        if now.since(self.drained_at) >= LAP_MIN && clock::at_stamp(oldest, now) > self.drained_at {
             self.overruns += 1;
-            self.consumed = self.consumed.wrapping_add_signed(come);
             self.read = end;
             // ends the frame that was cut
             take(&[DELIMITER], now);
-            return;
         }
-        if self.read == end {
-            return;
-        }
+        self.drained_at = now;
         while self.read != end {
             let start = self.read;
             let limit = if end > start { end } else { RING_BYTES };
@@ -231,11 +263,8 @@ impl Wire for DmaUart {
             let ring = unsafe { &*RX_BYTE_BUFFER[self.number].0.get() };
             let run = &ring[start..limit];
             let len = run.iter().position(|byte| *byte == DELIMITER).map_or(run.len(), |at| at + 1);
-            // SAFETY: the place is within the ring; volatile since the DMA wrote it
-            let stamp = unsafe { RX_STAMP_BUFFER[self.number].0.get().cast::<u32>().add(start).read_volatile() };
-            take(&run[..len], clock::at_stamp(stamp, now));
+            take(&run[..len], clock::at_stamp(stamp_at(self.number, start), now));
             self.read = (start + len) & RING_MASK;
-            self.consumed = self.consumed.wrapping_add(len as u32);
         }
     }
 
@@ -283,6 +312,12 @@ impl Wire for DmaUart {
         }
         self.sent_at = at + Span::from_steps(u64::from(len as u32 * BYTE_STEPS_Q8 >> 8));
     }
+}
+
+/// The stamp at a place of a ring.
+fn stamp_at(number: usize, place: usize) -> u32 {
+    // SAFETY: `place` is masked to the ring; volatile since the DMA wrote it
+    unsafe { RX_STAMP_BUFFER[number].0.get().cast::<u32>().add(place & RING_MASK).read_volatile() }
 }
 
 /// Place in a ring of what is at `address`, for elements of 2^`shift` bytes.

@@ -2,7 +2,7 @@
 
 #[rtic::app(device = board_rp2040_pico::pac, peripherals = true)]
 mod app {
-    use board_rp2040_pico::uart::{DmaUart, RxWatch};
+    use board_rp2040_pico::uart::{self, DmaUart};
     use board_rp2040_pico::{Board, clock};
     use firmware_app::Wire;
 
@@ -11,19 +11,18 @@ mod app {
 
     #[local]
     struct Local {
-        watch: RxWatch,
         uarts: [DmaUart; 2],
     }
 
     #[init]
     fn init(cx: init::Context) -> (Shared, Local) {
         let board = Board::init(cx.device, false);
-        (Shared {}, Local { watch: RxWatch::new(), uarts: board.uarts })
+        (Shared {}, Local { uarts: board.uarts })
     }
 
-    #[task(binds = DMA_IRQ_0, priority = 3, local = [watch])]
-    fn receive(cx: receive::Context) {
-        if cx.local.watch.take() {
+    #[task(binds = DMA_IRQ_0, priority = 3)]
+    fn receive(_: receive::Context) {
+        if uart::receive() {
             rtic::pend(board_rp2040_pico::pac::Interrupt::SW0_IRQ);
         }
     }

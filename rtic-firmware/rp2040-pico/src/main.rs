@@ -33,7 +33,7 @@ fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
 mod app {
     use crate::device::{Keeper, PicoLinks, PicoNode, PicoServices, ROUTE, Routing, SERVE, SharedNode, wake_routing};
     use board_rp2040_pico::clock::{self, Alarm};
-    use board_rp2040_pico::uart::{self, RxWatch};
+    use board_rp2040_pico::uart;
     use firmware_app::lock::SharedMailbox;
     use fixed_math::time::LocalTicks;
 
@@ -47,7 +47,6 @@ mod app {
 
     #[local]
     struct Local {
-        watch: RxWatch,
         routing: Routing,
         services: PicoServices,
         keeper: Keeper,
@@ -57,7 +56,7 @@ mod app {
     fn init(cx: init::Context) -> (Shared, Local) {
         let crate::device::Parts { node, links, routing, services, keeper } = crate::device::start(cx.device);
         wake_routing();
-        (Shared { node, links, due: None }, Local { watch: RxWatch::new(), routing, services, keeper })
+        (Shared { node, links, due: None }, Local { routing, services, keeper })
     }
 
     #[idle(local = [keeper], shared = [node])]
@@ -69,9 +68,9 @@ mod app {
         }
     }
 
-    #[task(binds = DMA_IRQ_0, priority = 3, local = [watch])]
-    fn receive(cx: receive::Context) {
-        if cx.local.watch.take() {
+    #[task(binds = DMA_IRQ_0, priority = 3)]
+    fn receive(_: receive::Context) {
+        if uart::receive() {
             rtic::pend(ROUTE);
         }
     }
