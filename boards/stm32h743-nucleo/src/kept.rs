@@ -1,10 +1,10 @@
 //! Why the device was reset: what the chip tells, and a report that outlives the reset.
 //!
-//! - **Walk:** a handler → [`reset_with`] → reset → start-up → [`take_report`].
-//! - **Invariants:** the report lies in DTCM, which a reset leaves as it was and start-up does not touch. Each of its words is written
-//!   whole: this memory has a check for each 32-bit word, and a part of a word would wait in the memory's own buffer, where a reset loses
-//!   it (RM0433, 2.4; AN5342). After power-on nothing is read before it was written, since the check of what was never written may fail.
-//!   No cache lies in between.
+//! - **Walk:** a handler → [`reset_with`] → reset → start-up → `take_report`.
+//! - **Invariants:** the report lies in DTCM, which a reset leaves as it was and start-up does not touch, at the same place in every image.
+//!   Each of its words is written whole: this memory has a check for each 32-bit word, and a part of a word would wait in the memory's
+//!   own buffer, where a reset loses it (RM0433, 2.4; AN5342). After power-on it is written before it is read, since the check of what
+//!   was never written may fail. No cache lies in between.
 //! - **Context:** start-up; handlers, with everything else stopped.
 
 use core::mem::MaybeUninit;
@@ -12,7 +12,7 @@ use core::ptr::addr_of_mut;
 use firmware_app::report::{REPORT_WORDS, Report};
 use stm32h7xx_hal::pac;
 
-#[unsafe(link_section = ".uninit.REPORT")]
+#[unsafe(link_section = ".kept")]
 static mut REPORT: MaybeUninit<[u32; REPORT_WORDS]> = MaybeUninit::uninit();
 
 /// What the last reset came from, as far as it matters here.

@@ -10,6 +10,10 @@
 //! The receive FIFO holds 16 bytes, 53 µs at 3 Mbaud: so long may an interrupt wait before bytes are lost. Its stamps are late by as much
 //! as it waited: for the other UARTs' interrupts, and for the USB driver's critical sections, which copy up to 64 bytes.
 //!
+//! What a byte costs: by a model of the processor (llvm-mca 22, cortex-m7, registers taken to answer at once), the interrupt takes 125
+//! cycles for one byte, so that three links at full load, 900,000 bytes a second, take 29 % of the processor. Entering and leaving, and
+//! five accesses to registers at 96 MHz, come on top. Bytes that wait are taken together, so that under load it is less for each.
+//!
 //! Bytes the UART itself loses are counted as an overrun, and the frame they were cut from fails its check besides.
 //!
 //! Registers: RM0433 (rev 7), chapter 48, USART: the FIFOs in 48.4, `USART_ISR` in 48.7.9.
