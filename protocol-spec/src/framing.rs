@@ -139,12 +139,12 @@ pub const fn encoded_len_max(packet_len: usize, check: Check) -> usize {
     len + runs_of(len) + 1
 }
 
-/// Runs of 254 bytes that `len` bytes without a zero take, the last one begun included: `len / 254 + 1`, without dividing where it is
-/// that of a packet on a device, since a Cortex-M0+ divides in software.
+/// Runs of up to 254 bytes that `len` bytes without a zero take, at least one: without dividing where it is the length of a packet on a
+/// device, since a Cortex-M0+ divides in software.
 const fn runs_of(len: usize) -> usize {
-    if len < RUN_MAX - 1 {
+    if len < RUN_MAX {
         1
-    } else if len < 2 * (RUN_MAX - 1) {
+    } else if len < 2 * RUN_MAX - 1 {
         2
     } else {
         many_runs_of(len)
@@ -153,7 +153,7 @@ const fn runs_of(len: usize) -> usize {
 
 #[cold]
 const fn many_runs_of(len: usize) -> usize {
-    len / (RUN_MAX - 1) + 1
+    len.div_ceil(RUN_MAX - 1)
 }
 
 /// Writes `packet` as a frame with its delimiter into `out` and returns its length, `[FRM-01]`.
@@ -247,8 +247,18 @@ impl Framer {
     /// Adds bytes of the packet to the frame in `out`, the same at each call and at least [`encoded_len_max`] of the whole packet long:
     /// what finds no place in it is left out.
     pub fn push(&mut self, bytes: &[u8], out: &mut [u8]) {
-        self.digest.update(bytes);
         self.stuff(bytes, out);
+        self.digest.update(bytes);
+    }
+
+    /// The half of [`Framer::push`] that writes to `out`: for the first bytes, which are waited for. [`Framer::digest`] is the other half.
+    pub fn push_head(&mut self, bytes: &[u8], out: &mut [u8]) {
+        self.stuff(bytes, out);
+    }
+
+    /// The half of [`Framer::push`] that is the check's, owed after each [`Framer::push_head`] and before anything else is pushed.
+    pub fn digest(&mut self, bytes: &[u8]) {
+        self.digest.update(bytes);
     }
 
     /// Bytes at the start of `out` that stay as they are.
@@ -261,43 +271,52 @@ impl Framer {
     pub fn finish(mut self, out: &mut [u8]) -> usize {
         let value = self.digest.clone().value().to_le_bytes();
         self.stuff(&value[..self.check.len()], out);
-        self.close(out);
-        put(out, self.code_at, DELIMITER);
-        self.code_at + 1
+        end_run(out.get_mut(self.code_at), self.at - self.code_at);
+        if let Some(place) = out.get_mut(self.at) {
+            *place = DELIMITER;
+        }
+        self.at + 1
     }
 
     fn stuff(&mut self, bytes: &[u8], out: &mut [u8]) {
+        // places are walked and not counted: a Cortex-M0+ has few registers, and an index takes three of them
+        let Self { code_at, at, .. } = *self;
+        let Some((before, rest)) = out.split_at_mut_checked(at) else { return };
+        let (len, mut run) = (at + rest.len(), at - code_at);
+        let mut places = rest.iter_mut();
+        let mut code = before.get_mut(code_at);
         for byte in bytes {
             // a full run stands for no zero: one that follows is a run of its own
-            if self.at - self.code_at == RUN_MAX {
-                self.close(out);
+            if run == RUN_MAX {
+                end_run(code, run);
+                code = places.next();
+                run = 1;
             }
             if *byte == DELIMITER {
-                self.close(out);
-                continue;
+                end_run(code, run);
+                code = places.next();
+                run = 1;
+            } else {
+                if let Some(place) = places.next() {
+                    *place = *byte;
+                }
+                run += 1;
             }
-            put(out, self.at, *byte);
-            self.at += 1;
         }
+        self.at = len - places.len();
+        self.code_at = self.at - run;
     }
+}
 
-    /// Ends a run: writes its length in front of it.
-    fn close(&mut self, out: &mut [u8]) {
-        let [code, ..] = (self.at - self.code_at).to_le_bytes();
-        put(out, self.code_at, code);
-        self.code_at = self.at;
-        self.at += 1;
+/// Ends a run of `run` bytes, its length included, by writing that length in front of it.
+fn end_run(code: Option<&mut u8>, run: usize) {
+    if let Some(code) = code {
+        [*code, ..] = run.to_le_bytes();
     }
 }
 
 /// The code of a run that is full: 254 bytes and no zero behind them.
 const RUN_MAX: usize = 0xff;
-
-fn put(out: &mut [u8], at: usize, byte: u8) {
-    if let Some(place) = out.get_mut(at) {
-        *place = byte;
-    }
-}
 
 /// Unstuffs one whole frame (with or without its delimiter) into `out`, checks it, and returns the packet's length.
 ///
@@ -417,35 +436,29 @@ impl<const N: usize> Deframer<N> {
         self.checked = 0;
     }
 
-    fn unstuff(&mut self, mut rest: &[u8]) {
-        while let Some((code, after)) = rest.split_first() {
-            if self.left > 0 {
-                let (now, later) = rest.split_at(rest.len().min(usize::from(self.left)));
-                self.append(now);
-                #[expect(clippy::cast_possible_truncation, reason = "at most `left`")]
-                {
-                    self.left -= now.len() as u8;
+    fn unstuff(&mut self, run: &[u8]) {
+        // places are walked and not counted: a Cortex-M0+ has few registers, and an index takes three of them
+        let (mut left, mut zero_due) = (self.left, self.zero_due);
+        let mut places = self.buffer.get_mut(self.len..).unwrap_or_default().iter_mut();
+        for byte in run {
+            let data = if left > 0 {
+                left -= 1;
+                *byte
+            } else {
+                left = byte.saturating_sub(1);
+                if !core::mem::replace(&mut zero_due, usize::from(*byte) != RUN_MAX) {
+                    continue;
                 }
-                rest = later;
-                continue;
+                0
+            };
+            match places.next() {
+                Some(place) => *place = data,
+                None => self.overflown = true,
             }
-            if self.zero_due {
-                self.append(&[0]);
-            }
-            self.left = code.saturating_sub(1);
-            self.zero_due = usize::from(*code) != RUN_MAX;
-            rest = after;
         }
-    }
-
-    fn append(&mut self, bytes: &[u8]) {
-        match self.buffer.get_mut(self.len..self.len + bytes.len()) {
-            Some(place) => {
-                place.copy_from_slice(bytes);
-                self.len += bytes.len();
-            }
-            None => self.overflown = true,
-        }
+        self.len = N - places.len();
+        self.left = left;
+        self.zero_due = zero_due;
     }
 
     /// Digests what cannot be part of the check at the frame's end.

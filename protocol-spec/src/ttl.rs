@@ -76,17 +76,18 @@ impl WireRate {
         }
         let rate = bit_rate as u64;
         let whole = bits_a_byte as u64 * STEPS_A_SECOND;
-        let parts = ((whole % rate << RATE_BITS) + rate / 2) / rate;
+        let parts = (((whole % rate) << RATE_BITS) + rate / 2) / rate;
         Self { steps: whole / rate, parts: parts as u32 }
     }
 
     /// As [`wire_time`] for up to 4096 bytes, but for 30 ps.
     #[must_use]
+    #[expect(clippy::cast_possible_truncation, reason = "compared before")]
     pub const fn time(self, bytes: usize) -> Span {
-        let parts = (bytes as u32).wrapping_mul(self.parts);
-        let carried = (parts + ((1 << RATE_BITS) - 1 - RATE_SLACK)) >> RATE_BITS;
         // two products of 32 bits take a Cortex-M0+ two cycles, one of 64 takes it fifty
         if self.steps < 1 << 20 && bytes <= BYTES_MAX {
+            let parts = bytes as u32 * self.parts;
+            let carried = (parts + ((1 << RATE_BITS) - 1 - RATE_SLACK)) >> RATE_BITS;
             Span::from_steps((bytes as u32 * self.steps as u32 + carried) as u64)
         } else {
             Span::from_steps((bytes as u64).saturating_mul(self.steps + 1))

@@ -78,13 +78,13 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
                 Instruction::Bus { drop, .. } => Some(drop),
                 _ => None,
             };
-            let sent = send(packet.bytes(), to);
+            let result = send(packet.bytes(), to);
             self.relinquish(id);
             let gateway = &mut self.gateways[index.at()];
             gateway.announced_last = false;
             gateway.sent = gateway.sent.wrapping_add(1);
             self.stage(Stage::Egress, Taker::Gateway(index), now);
-            return Some(sent);
+            return Some(result);
         }
         None
     }

@@ -104,8 +104,13 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         let taker = self.decide(instruction, len)?;
         self.stage(Stage::Route, taker, now);
 
+        self.keep(packet, Held { owner: Owner::Gateway(index), taker, arrived: (started + wire).min(now), ttl_us }, now)
+    }
+
+    /// Gives a packet its place in the pool and in the stack, if it can still be in time.
+    fn keep(&mut self, packet: &[u8], held: Held, now: LocalTicks) -> Result<(), DropCause> {
+        let (Held { owner, taker, arrived, ttl_us }, len) = (held, packet.len());
         // the sender has taken the wire time off already: time in this node begins at the frame's end, which cannot be after `now`
-        let arrived = (started + wire).min(now);
         let deadline = arrived + Span::from_us(u64::from(ttl_us));
         // what could only be dropped takes no memory, and displaces nothing that could still be in time
         let left = match taker {
@@ -113,12 +118,21 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
             Taker::Gateway(out) => ttl_after(ttl_us, now.since(arrived), self.gateways[out.at()].wire_time(len)),
         };
         left.ok_or(DropCause::Expired)?;
-        let id = self.admit(Tag { owner: Owner::Gateway(index), taker, arrived, ttl_us, deadline }, now)?;
+        let id = self.admit(Tag { owner, taker, arrived, ttl_us, deadline }, now)?;
         self.pool.room_mut(&id)[..len].copy_from_slice(packet);
         self.pool.set_len(&id, len);
         self.stack_up(id, now);
         Ok(())
     }
+}
+
+/// Whose a packet is, and since when.
+struct Held {
+    owner: Owner,
+    taker: Taker,
+    /// When its frame ended.
+    arrived: LocalTicks,
+    ttl_us: u16,
 }
 
 /// A transport's own header must be whole before a packet may take up memory, `[TRN-01]`, `[TRN-03]`, `[TRN-07]`.

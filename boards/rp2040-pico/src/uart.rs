@@ -24,9 +24,9 @@ const RING_BITS: u32 = 9;
 const RING_MASK: usize = RING_BYTES - 1;
 /// The longest frame: a packet of 256 bytes.
 const FRAME_BYTES: usize = encoded_len_max(256, Check::Crc32);
-/// Routing is woken where a place of the ring that is a multiple of this is passed, although no frame has ended, so that most of it is
-/// unstuffed when it does.
-const WAKE_MASK: usize = 31;
+/// Routing is woken after so many bytes although no frame has ended, so that most of a long one is unstuffed when it does. A question is
+/// shorter, and is not held up by routing that has begun for half of it.
+const WAKE_BYTES: usize = 48;
 /// 1/256 µs a byte of ten bits takes, times 2^8.
 const BYTE_STEPS_Q8: u32 = ((10 * 256 * 256 * 1_000_000_u64) / UART_BAUD as u64) as u32;
 
@@ -80,6 +80,8 @@ static RX_BYTE_BUFFER: [Bytes; 2] = [const { Bytes(UnsafeCell::new([0; RING_BYTE
 static TX_FRAME_BUFFER: [FrameRoom; 2] = [const { FrameRoom(UnsafeCell::new([0; FRAME_BYTES])) }; 2];
 /// Place up to which bytes were looked at: by the interrupt, or by routing while the interrupt is off.
 static RX_SEEN: [AtomicUsize; 2] = [const { AtomicUsize::new(0) }; 2];
+/// Bytes since routing was woken last.
+static RX_SINCE: [AtomicUsize; 2] = [const { AtomicUsize::new(0) }; 2];
 /// The interrupt is off, as there is something to drain. Set by the interrupt, cleared by routing before it looks at the ring.
 static RX_WAITS: [AtomicBool; 2] = [const { AtomicBool::new(false) }; 2];
 
@@ -188,12 +190,15 @@ fn look<const NUMBER: usize>(pending: u32) -> bool {
     }
     let end = ring_place(dma().ch(channel).ch_write_addr().read().bits(), 0);
     let mut seen = RX_SEEN[NUMBER].load(Ordering::Relaxed);
+    let mut since = RX_SINCE[NUMBER].load(Ordering::Relaxed);
     let mut wake = false;
     while seen != end {
-        wake |= byte_at(NUMBER, seen) == DELIMITER || seen & WAKE_MASK == WAKE_MASK;
+        since += 1;
+        wake |= byte_at(NUMBER, seen) == DELIMITER || since >= WAKE_BYTES;
         seen = (seen + 1) & RING_MASK;
     }
     RX_SEEN[NUMBER].store(end, Ordering::Relaxed);
+    RX_SINCE[NUMBER].store(if wake { 0 } else { since }, Ordering::Relaxed);
     if wake {
         set_interrupt(NUMBER, false);
         RX_WAITS[NUMBER].store(true, Ordering::Relaxed);

@@ -110,8 +110,9 @@ impl<W: Wire, const BYTES: usize, const FRAME: usize> Link<W, BYTES, FRAME> {
             let sent = node.transmit_with(self.gateway, at, BYTES, |packet, _| {
                 let mut framer = Framer::new(config.check);
                 let (head, rest) = packet.split_at(packet.len().min(HEAD_BYTES));
-                framer.push(head, wire.room());
+                framer.push_head(head, wire.room());
                 wire.send_head(framer.settled());
+                framer.digest(head);
                 framer.push(rest, wire.room());
                 let len = framer.finish(wire.room());
                 wire.send(len, at);
