@@ -39,7 +39,7 @@ pub trait Wire {
     /// The first `len` bytes of the room will not change: they may leave at once, while the rest is being made. A wire that is not idle, or
     /// that sends whole frames, lets them wait.
     fn send_head(&mut self, len: usize) {
-        let _waits = len;
+        let _: usize = len;
     }
 
     /// Sends the first `len` bytes of the room, or what of them has not left yet, from `at` on or, where that is past, at once.

@@ -371,12 +371,13 @@ impl Cosim {
         from_hex(&read.hex).ok_or_else(|| CosimError::Answer { command: command.to_string(), answer: read.hex })
     }
 
-    /// Writes a chip's memory at `symbol`, a name of its ELF.
+    /// Writes instructions over the beginning of the function `symbol`, in a chip's RAM.
     ///
     /// # Errors
     /// [`CosimError`].
-    pub fn poke_symbol(&mut self, chip: &str, symbol: &str, bytes: &[u8]) -> Result<(), CosimError> {
-        self.tell(&json!({ "cmd": "poke", "chip": chip, "symbol": symbol, "hex": to_hex(bytes) }))
+    pub fn poke_code(&mut self, chip: &str, symbol: &str, bytes: &[u8]) -> Result<(), CosimError> {
+        // a function's symbol has the lowest bit set, which says Thumb and is no part of the address
+        self.tell(&json!({ "cmd": "poke", "chip": chip, "symbol": symbol, "address": -1, "hex": to_hex(bytes) }))
     }
 
     /// Writes a chip's memory.

@@ -16,5 +16,7 @@ pub mod network;
 pub mod pico;
 pub mod qemu;
 pub mod report;
+pub mod rta;
 pub mod scenario;
+pub mod tasks;
 pub mod traffic;

@@ -3,9 +3,14 @@
 //! - **Walk:** [`Scenario::run`] → the scenario's file → a [`Report`].
 //! - **Invariants:** a scenario ends the processes it started; one seed gives one run, where virtual time is used.
 
+mod cycles;
+mod preemption;
 mod round_trip;
+mod rta;
 mod scan;
+mod settings;
 mod soak;
+mod usb;
 
 use crate::images::Places;
 use crate::report::{Failure, Report};
@@ -52,13 +57,23 @@ pub enum Scenario {
         #[arg(long, default_value_t = 1e-5)]
         errors: f64,
     },
+    /// A user port that spins 50 ms, and the hub still forwards: latencies with and without
+    Preemption,
+    /// Worst cycles of each task of the Pico image, measured under several loads
+    Cycles,
+    /// Response times from the task table of each image, against the deadlines
+    Rta,
+    /// A name kept over power-off and reset, what a write delays, and reports of a fault and a hang
+    Settings,
+    /// Enumeration and a scan over the Pico's USB
+    Usb,
 }
 
 impl Scenario {
     /// Those that `all` runs, with what they are given there.
     #[must_use]
     pub fn all() -> Vec<Self> {
-        vec![Self::Scan, Self::RoundTrip { count: 250 }, Self::Soak { ms: 2_000, errors: 1e-5 }]
+        vec![Self::Scan, Self::RoundTrip { count: 250 }, Self::Soak { ms: 2_000, errors: 1e-5 }, Self::Preemption, Self::Cycles, Self::Rta, Self::Settings, Self::Usb]
     }
 
     /// As it is called on the command line.
@@ -69,6 +84,11 @@ impl Scenario {
             Self::Up { .. } => "up",
             Self::RoundTrip { .. } => "round-trip",
             Self::Soak { .. } => "soak",
+            Self::Preemption => "preemption",
+            Self::Cycles => "cycles",
+            Self::Rta => "rta",
+            Self::Settings => "settings",
+            Self::Usb => "usb",
         }
     }
 
@@ -82,6 +102,11 @@ impl Scenario {
             Self::Up { port, seconds } => scan::up(context, *port, *seconds),
             Self::RoundTrip { count } => round_trip::run(context, *count),
             Self::Soak { ms, errors } => soak::run(context, *ms, *errors),
+            Self::Preemption => preemption::run(context),
+            Self::Cycles => cycles::run(context),
+            Self::Rta => rta::run(context),
+            Self::Settings => settings::run(context),
+            Self::Usb => usb::run(context),
         }
     }
 }
