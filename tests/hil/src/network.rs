@@ -190,6 +190,8 @@ impl CosimNetwork {
         let until_ns = first_ns(until);
         loop {
             let now = self.now();
+            // first what has come, so that the task sees what became of it; then what the task wants sent
+            self.core.run(now);
             let is_done = task(&mut self.core, now);
             self.core.run(now);
             self.transmit()?;

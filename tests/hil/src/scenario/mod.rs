@@ -47,6 +47,9 @@ pub enum Scenario {
         /// Questions to each
         #[arg(long, default_value_t = 250)]
         count: u32,
+        /// Fails where a device takes longer in the median, µs
+        #[arg(long)]
+        goal: Option<f64>,
     },
     /// Full load through a Pico hub both ways, with byte errors on both links: nothing delivered wrong, every loss accounted for
     Soak {
@@ -73,7 +76,7 @@ impl Scenario {
     /// Those that `all` runs, with what they are given there.
     #[must_use]
     pub fn all() -> Vec<Self> {
-        vec![Self::Scan, Self::RoundTrip { count: 250 }, Self::Soak { ms: 2_000, errors: 1e-5 }, Self::Preemption, Self::Cycles, Self::Rta, Self::Settings, Self::Usb]
+        vec![Self::Scan, Self::RoundTrip { count: 250, goal: None }, Self::Soak { ms: 2_000, errors: 1e-5 }, Self::Preemption, Self::Cycles, Self::Rta, Self::Settings, Self::Usb]
     }
 
     /// As it is called on the command line.
@@ -100,7 +103,7 @@ impl Scenario {
         match self {
             Self::Scan => scan::run(context),
             Self::Up { port, seconds } => scan::up(context, *port, *seconds),
-            Self::RoundTrip { count } => round_trip::run(context, *count),
+            Self::RoundTrip { count, goal } => round_trip::run(context, *count, *goal),
             Self::Soak { ms, errors } => soak::run(context, *ms, *errors),
             Self::Preemption => preemption::run(context),
             Self::Cycles => cycles::run(context),

@@ -1,0 +1,139 @@
+//! Worst cycles of each task of the Pico image, measured under several loads.
+//!
+//! - **Walk:** a load → the co-simulation's profile → the most of each task, for the table in the image's `main.rs`.
+//! - **Invariants:** a task's cycles are its own: what preempted it is not in them, entry and return are. The figures in the image's table
+//!   must not be below what is measured here.
+//! - **What it is not:** code runs from RAM, as on the chip, so that no cache is missing; contention of both bus masters is not modelled.
+
+use super::Context;
+use crate::cosim::{NS_PER_MS, Profile, WireFaults};
+use crate::pico::{Bench, cycles_us, route};
+use crate::report::{Failure, Report, table};
+use crate::tasks::TaskTable;
+use crate::traffic::Traffic;
+use fixed_math::time::Span;
+use osap::ping::PingOptions;
+use osap::scan::ScanOptions;
+use osap_protocol::PortIndex;
+use osap_protocol::transport::Transport;
+use serde_json::json;
+use std::collections::BTreeMap;
+
+/// Tasks of the image and the interrupts that they are bound to.
+pub(super) const TASKS: [(&str, u32); 6] =
+    [("receive", 11), ("transmitted", 12), ("wake", 0), ("usb", 5), ("route", 26), ("serve", 27)];
+
+/// What a task took at most under one load: cycles, and cycles from pending to its first instruction.
+type Most = BTreeMap<&'static str, (u64, u64)>;
+
+pub(super) fn run(context: &Context) -> Result<Report, Failure> {
+    let mut loads: Vec<(&str, Profile)> = Vec::new();
+    let mut bench = Bench::hub_and_device(&context.places, context.seed, None)?;
+    for load in ["idle", "scan", "pings", "segments", "naming", "spin"] {
+        profile(&bench)?;
+        apply(&mut bench, load)?;
+        loads.push((load, profile(&bench)?));
+    }
+    drop(bench);
+    let faults = WireFaults { seed: context.seed, byte_error: 1e-4, byte_loss: 0.0 };
+    for (load, faults) in [("full load", None), ("full, errors", Some(faults))] {
+        let mut bench = Bench::loop_through_hub(&context.places, context.seed, faults)?;
+        profile(&bench)?;
+        let mut traffic = Traffic::new(context.seed, ["/0/1", "/1/0"].map(|text| route(text).to_buf()), PortIndex::from_low_bits(2));
+        let until = bench.session.network().now() + Span::from_us(200_000);
+        let task = move |core: &mut osap::core::HostCore, now| {
+            traffic.take(core);
+            traffic.feed(core, now);
+            false
+        };
+        bench.session.network().drive(until, Box::new(task))?;
+        loads.push((load, profile(&bench)?));
+    }
+    let mut report = Report::new();
+    report.line("Own cycles of each task at most, of the Pico hub at 125 MHz (8 ns a cycle)");
+    let most = describe(&mut report, &loads);
+    compare(&mut report, context, &most)?;
+    Ok(report)
+}
+
+fn profile(bench: &Bench) -> Result<Profile, Failure> {
+    Ok(bench.cosim.borrow_mut().profile("hub", true)?)
+}
+
+fn apply(bench: &mut Bench, load: &str) -> Result<(), Failure> {
+    let hub = bench.session.destination(&route("/0"));
+    let device = bench.session.destination(&route("/0/1"));
+    match load {
+        "scan" => drop(bench.session.scan(&ScanOptions::default(), &mut |_| {})?),
+        "pings" => {
+            let options = PingOptions { count: 100, interval: Span::from_us(700), ..PingOptions::default() };
+            bench.session.ping(&hub, &options, &mut |_, _| ())?;
+            bench.session.ping(&device, &options, &mut |_, _| ())?;
+        }
+        "segments" => {
+            for len in [300, 700, 1_000] {
+                bench.session.echo(&hub, Transport::Segmented, &vec![7; len])?;
+                bench.session.echo(&device, Transport::Segmented, &vec![7; len])?;
+            }
+        }
+        "naming" => {
+            for name in ["a", "a hub with a longer name", "b"] {
+                bench.session.set_name(&hub, name)?;
+                bench.run_for(20 * NS_PER_MS)?;
+            }
+        }
+        "spin" => drop(super::preemption::spin(bench, &hub, 100_000)?),
+        _ => bench.run_for(300 * NS_PER_MS)?,
+    }
+    Ok(())
+}
+
+fn describe(report: &mut Report, loads: &[(&str, Profile)]) -> Most {
+    let mut most = Most::new();
+    let mut rows = Vec::new();
+    for (name, irq) in TASKS {
+        let runs = loads.iter().map(|(_, profile)| profile.irq(irq));
+        let worst = runs.clone().map(|run| run.cycles_max).max().unwrap_or(0);
+        let latency = runs.clone().map(|run| run.latency_cycles_max).max().unwrap_or(0);
+        most.insert(name, (worst, latency));
+        let cells = runs.map(|run| run.cycles_max.to_string());
+        let ends = [worst.to_string(), format!("{:.1}", cycles_us(worst)), format!("{:.1}", cycles_us(latency))];
+        rows.push(std::iter::once(name.to_owned()).chain(cells).chain(ends).collect());
+    }
+    let masked = loads.iter().map(|(_, profile)| profile.primask_cycles_max).max().unwrap_or(0);
+    let mut head = vec!["task"];
+    head.extend(loads.iter().map(|(load, _)| *load));
+    head.extend(["worst", "µs", "pending µs"]);
+    report.line(table(&head, &rows));
+    for (load, profile) in loads {
+        let busy = 100.0 - 100.0 * profile.sleep_cycles as f64 / profile.cycles.max(1) as f64;
+        let (receive, routed) = (profile.irq(11).count, profile.irq(26).count);
+        let share = |(name, irq): &(&str, u32)| {
+            let part = 100.0 * profile.irq(*irq).cycles_total as f64 / profile.cycles.max(1) as f64;
+            (part >= 1.0).then(|| format!("{name} {part:.0} %"))
+        };
+        let shares: Vec<String> = TASKS.iter().filter_map(share).collect();
+        report.line(format!("{load}: {busy:.0} % busy ({}), {receive} receive interrupts, {routed} runs of route", shares.join(", ")));
+    }
+    report.line(format!("longest with all interrupts masked: {masked} cycles"));
+    report.datum("worst_cycles", most.iter().map(|(task, (worst, latency))| json!({ "task": task, "cycles": worst, "pending_cycles": latency })).collect());
+    most
+}
+
+/// The image's own table must not claim less than was measured.
+fn compare(report: &mut Report, context: &Context, most: &Most) -> Result<(), Failure> {
+    let source = std::fs::read_to_string(context.places.file("rtic-firmware/rp2040-pico/src/main.rs"))?;
+    let claimed = match TaskTable::read(&source) {
+        Ok(claimed) => claimed,
+        Err(error) => {
+            report.not_run("the image's table against these figures", error.to_string());
+            return Ok(());
+        }
+    };
+    for (task, (worst, _)) in most {
+        let claim = claimed.tasks.iter().find(|it| it.name == *task).and_then(|it| it.worst_cycles);
+        let is_honest = claim.is_some_and(|claim| *worst as f64 <= claim);
+        report.check(is_honest, format!("{task}: {worst} cycles measured, {} in the table", claim.unwrap_or(0.0)));
+    }
+    Ok(())
+}
