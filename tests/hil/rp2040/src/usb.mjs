@@ -4,6 +4,8 @@ import { USBCDC } from 'rp2040js';
 import { Delimiter } from './wire.mjs';
 
 const BULK_BYTES = 64;
+/** The terminal is open: wValue of SET_CONTROL_LINE_STATE. */
+const DTR_AND_RTS = 3;
 
 export class UsbPort {
   /** @param {string} name @param {import('./chip.mjs').Chip} chip */
@@ -48,6 +50,13 @@ export class UsbPort {
       this.isConnected = true;
       this.#feed();
     };
+    // The package asks the device and not its interface (USB CDC PSTN 1.2, 6.3.12), which firmware may refuse; a real host asks the latter.
+    Object.assign(cdc, {
+      cdcSetControlLineState() {
+        usb.sendSetupPacket(Uint8Array.from([0x21, 0x22, DTR_AND_RTS, 0, 0, 0, 0, 0]));
+        Object.assign(cdc, { initialized: true });
+      },
+    });
     cdc.onSerialData = (data) => this.#received(data);
     // The package answers each buffer at once, with an empty packet if need be, for ever; a real host sends nothing.
     usb.onEndpointRead = (endpoint, size) => {
