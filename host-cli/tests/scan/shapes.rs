@@ -38,7 +38,7 @@ host  osap-host  686f…000b
     assert_eq!((report.cost.retries, report.cost.timeouts), (0, 0));
     for row in printer::TABLE_2_7 {
         let device = report.map.resolve(row.device).unwrap();
-        assert!(device.ports.len() == 3 && device.ports[1].type_name == "echo", "{device:?}");
+        assert!(device.ports.len() == 4 && device.ports[1].type_name == "echo", "{device:?}");
     }
 }
 
