@@ -1,17 +1,23 @@
 //! A Raspberry Pi Pico in the network: two UART links and USB, an RP2040 at 125 MHz, all code in RAM.
 //!
-//! | task        | bound to    | priority | period / deadline     | shares      | worst cycles (measured) |
-//! |-------------|-------------|----------|-----------------------|-------------|-------------------------|
-//! | receive     | DMA_IRQ_0   | 3        | ring lap, 1.7 ms      | -           | see docs/figures.md     |
-//! | transmitted | DMA_IRQ_1   | 2        | UART FIFO, 107 µs     | -           |                         |
-//! | wake        | TIMER_IRQ_0 | 2        | packet TTL            | -           |                         |
-//! | usb         | USBCTRL_IRQ | 2        | bus, 1 ms             | links       |                         |
-//! | route       | SW0_IRQ     | 2        | packet TTL            | node, links |                         |
-//! | serve       | SW1_IRQ     | 1        | packet TTL            | node        |                         |
-//! | idle        | -           | 0        | none                  | node        |                         |
+//! | task        | bound to    | priority | every µs | deadline µs | shares      | worst cycles (measured) | lock cycles |
+//! |-------------|-------------|----------|----------|-------------|-------------|-------------------------|-------------|
+//! | receive     | DMA_IRQ_0   | 3        | 300      | 1,706       | -           | 17,280                  | -           |
+//! | transmitted | DMA_IRQ_1   | 2        | 435      | -           | -           | 63                      | -           |
+//! | wake        | TIMER_IRQ_0 | 2        | 300      | -           | -           | 66                      | -           |
+//! | usb         | USBCTRL_IRQ | 2        | 1,000    | -           | links       | 3,557                   | -           |
+//! | route       | SW0_IRQ     | 2        | 435      | 853         | node, links | 37,000                  | -           |
+//! | serve       | SW1_IRQ     | 1        | -        | -           | node        | -                       | -           |
+//! | idle        | -           | 0        | -        | -           | node        | -                       | -           |
 //!
 //! Priority 4 is kept for interpolation. Bytes and their stamps are moved by DMA, so that no priority is urgent for them. The node is held by
 //! `serve` for single calls; a service works without it.
+//!
+//! `cargo xtask hil cycles` measures, `cargo xtask hil rta` calculates response times from this table. Both UARTs at full load: `receive` is
+//! counted as a burst, 48 interrupts of 180 cycles for each UART, after which it is silent until `route` has drained it; there are two bursts
+//! in a turn of `route` at most. A turn of `route` takes in all that came, so its worst is that of many frames. A ring holds 1,706 µs of bytes,
+//! and two turns may lie between a byte and its drain: each has half of that. Where `transmitted` is late a wire idles, where `usb` is the
+//! host waits, and `serve` has what is left; they have no deadline.
 #![no_std]
 #![no_main]
 
