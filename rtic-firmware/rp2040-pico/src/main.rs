@@ -7,8 +7,8 @@
 //! | wake        | TIMER_IRQ_0 | 2        | 300      | -           | -           | 66                      | -           |
 //! | usb         | USBCTRL_IRQ | 2        | 1,000    | -           | links       | 3,557                   | -           |
 //! | route       | SW0_IRQ     | 2        | 435      | 853         | node, links | 37,000                  | -           |
-//! | serve       | SW1_IRQ     | 1        | -        | -           | node        | -                       | -           |
-//! | idle        | -           | 0        | -        | -           | node        | -                       | -           |
+//! | serve       | SW1_IRQ     | 1        | -        | -           | node        | -                       | 420         |
+//! | idle        | -           | 0        | -        | -           | node        | -                       | 420         |
 //!
 //! Priority 4 is kept for interpolation. Bytes and their stamps are moved by DMA, so that no priority is urgent for them. The node is held by
 //! `serve` for single calls; a service works without it.
@@ -16,7 +16,8 @@
 //! `cargo xtask hil cycles` measures, `cargo xtask hil rta` calculates response times from this table. Both UARTs at full load: `receive` is
 //! counted as a burst, 48 interrupts of 180 cycles for each UART, after which it is silent until `route` has drained it; there are two bursts
 //! in a turn of `route` at most. A turn of `route` takes in all that came, so its worst is that of many frames. A ring holds 1,706 µs of bytes,
-//! and two turns may lie between a byte and its drain: each has half of that. Where `transmitted` is late a wire idles, where `usb` is the
+//! and two turns may lie between a byte and its drain: each has half of that. A lock is no longer than
+//! `route` was ever seen to be pending. Where `transmitted` is late a wire idles, where `usb` is the
 //! host waits, and `serve` has what is left; they have no deadline.
 #![no_std]
 #![no_main]
