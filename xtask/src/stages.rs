@@ -9,7 +9,7 @@ use crate::report::{Outcome, Report};
 use crate::run::{Error, Program, root, write};
 use crate::setup::{self, Setup, TARGETS};
 use crate::tally::{Counts, Runner, Tally};
-use crate::{hil, size, toolchain};
+use crate::{hil, toolchain};
 
 /// Crates that run on a device, built for each bare-metal target.
 const CORES: &str = "-p fixed-math -p osap-protocol -p osap-runtime -p firmware-app";
@@ -105,7 +105,13 @@ fn host_tests() -> Program {
     Program::cargo("test --no-fail-fast")
 }
 
-/// Builds, lints and measures each image that the workspace lists.
+/// Tests of the boards whose crates build on a host too: clocks, layouts.
+fn board_tests() -> Program {
+    Program::cargo("test --no-fail-fast -p board-mps2-an500 -p board-stm32h743-nucleo")
+}
+
+/// Builds and lints each image that the workspace lists. What each takes is measured by `cargo xtask size`, which builds it seven times
+/// more.
 fn image_stages(report: &mut Report, setup: &Setup, images: Result<&Images, &Error>) {
     let images = match images {
         Ok(images) => images,
@@ -117,12 +123,12 @@ fn image_stages(report: &mut Report, setup: &Setup, images: Result<&Images, &Err
         let name = &image.name;
         stage(report, setup, &format!("image {name}"), || images.build(image, &Features::default()).map(drop));
         stage(report, setup, &format!("lint of image {name}"), || image.lint());
-        stage(report, setup, &format!("size of image {name}"), || size::size(name, false, 0));
     }
 }
 
 /// Tests the emulated RP2040, and runs the images in emulators.
 fn emulator_stages(report: &mut Report, setup: &Setup, images: Result<&Images, &Error>) {
+    counted_stage(report, setup, "tests of boards on this computer", Runner::Cargo, || Ok(board_tests()));
     counted_stage(report, setup, setup::RP2040_TESTS, Runner::Node, hil::rp2040_tests);
     if let Some(images) = images.ok().filter(|images| images.has_member(hil::HARNESS)) {
         counted_stage(report, setup, setup::HIL, Runner::Cargo, || {
