@@ -57,7 +57,7 @@ impl Default for Leg {
 impl Leg {
     /// Bytes that went onto the wire.
     pub fn sent(&mut self, bytes: &[u8]) {
-        self.frames_sent += bytes.iter().filter(|byte| **byte == DELIMITER).count() as u64;
+        self.frames_sent += bytes.iter().map(|byte| u64::from(*byte == DELIMITER)).sum::<u64>();
         self.sent.extend(bytes);
         self.compare();
     }

@@ -202,13 +202,11 @@ fn is_passing(error: &io::Error) -> bool {
 fn carry(from: &mut Plug, to: &mut Plug) -> Option<(String, Vec<u8>)> {
     from.connect();
     let bytes = from.read();
-    match &to.end {
-        End::Port(port) => (!bytes.is_empty()).then(|| (port.clone(), bytes)),
-        _ => {
-            to.write(&bytes);
-            None
-        }
+    if let End::Port(port) = &to.end {
+        return (!bytes.is_empty()).then(|| (port.clone(), bytes));
     }
+    to.write(&bytes);
+    None
 }
 
 struct Carrier {

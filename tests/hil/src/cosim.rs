@@ -10,6 +10,7 @@
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
+use std::fmt::Write as _;
 use std::io::{self, BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
@@ -34,7 +35,9 @@ pub enum CosimError {
         source: io::Error,
     },
     /// The process has gone.
-    #[error("the co-simulation ended while it was to do `{command}`; what it wrote last stands above. Run `npm test` in tests/hil/rp2040")]
+    #[error(
+        "the co-simulation ended while it was to do `{command}`; what it wrote last stands above. Run `npm test` in tests/hil/rp2040"
+    )]
     Gone {
         /// What it was to do.
         command: String,
@@ -303,8 +306,7 @@ impl Cosim {
             start_ns: f64,
             end_ns: f64,
         }
-        let sent: Sent =
-            self.ask(&json!({ "cmd": "send", "port": port, "bytes": to_hex(bytes), "at_ns": at_ns }))?;
+        let sent: Sent = self.ask(&json!({ "cmd": "send", "port": port, "bytes": to_hex(bytes), "at_ns": at_ns }))?;
         Ok((whole(sent.start_ns), whole(sent.end_ns)))
     }
 
@@ -492,13 +494,21 @@ fn read_answer<A: serde::de::DeserializeOwned>(command: &Value, line: &str) -> R
 
 /// Nanoseconds to the next whole one; below zero, which nothing is, 0.
 fn whole(ns: f64) -> Ns {
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "saturates; far below 2^53 in practice")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "saturates; far below 2^53 in practice"
+    )]
     let whole = ns.round() as Ns;
     whole
 }
 
 fn to_hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+    bytes.iter().fold(String::new(), |mut text, byte| {
+        // writing to a string never fails
+        let _fits = write!(text, "{byte:02x}");
+        text
+    })
 }
 
 fn from_hex(text: &str) -> Option<Vec<u8>> {

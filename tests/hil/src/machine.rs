@@ -103,7 +103,12 @@ impl Machine {
         let address = listener.local_addr()?;
         let (heater, cosim) = match board {
             Some(path) if path.exists() => (End::Tty(path), None),
-            Some(path) => return Err(Failure::NotRun(format!("no board is at {}: plug it in, or leave --board out", path.display()))),
+            Some(path) => {
+                return Err(Failure::NotRun(format!(
+                    "no board is at {}: plug it in, or leave --board out",
+                    path.display()
+                )));
+            }
             None => (End::Port(CHIP.to_owned()), Some(heater(places)?)),
         };
         let wires = vec![

@@ -11,10 +11,10 @@ use fixed_math::time::LocalTicks;
 use osap::core::{HostCore, HostIdentity};
 use osap::error::NetworkError;
 use osap::network::{Network, Task};
+use osap_protocol::GatewayIndex;
 use osap_protocol::discovery::{GatewayKind, UniqueId};
 use osap_protocol::framing::{Check, Deframer, encode, encoded_len_max};
 use osap_protocol::header::Arrival;
-use osap_protocol::GatewayIndex;
 use osap_runtime::GatewayConfig;
 use osap_sim::endpoint::Endpoint;
 use std::cell::RefCell;
@@ -99,7 +99,10 @@ pub struct CosimNetwork {
 
 impl std::fmt::Debug for CosimNetwork {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("CosimNetwork").field("links", &self.link_names()).field("now", &self.now()).finish_non_exhaustive()
+        f.debug_struct("CosimNetwork")
+            .field("links", &self.link_names())
+            .field("now", &self.now())
+            .finish_non_exhaustive()
     }
 }
 
@@ -258,12 +261,14 @@ fn deliver(core: &mut HostCore, link: &mut HostLink, bytes: &[u8], started: Loca
 
 /// What the host's clock reads at a virtual instant: it is perfect.
 #[must_use]
+#[expect(clippy::cast_possible_truncation, reason = "a quarter of a number of 64 bits")]
 pub const fn ticks(ns: Ns) -> LocalTicks {
     LocalTicks::from_steps((ns as u128 * 256 / 1_000) as u64)
 }
 
 /// The first nanosecond at which the host's clock reads at least `ticks`.
 #[must_use]
+#[expect(clippy::cast_possible_truncation, reason = "compared with the largest before")]
 pub const fn first_ns(ticks: LocalTicks) -> Ns {
     let ns = (ticks.steps() as u128 * 1_000).div_ceil(256);
     if ns > Ns::MAX as u128 { Ns::MAX } else { ns as Ns }

@@ -147,6 +147,14 @@ impl Report {
     }
 }
 
+/// A count as a real number, for shares and rates.
+#[must_use]
+pub const fn real(count: u64) -> f64 {
+    #[expect(clippy::cast_precision_loss, reason = "exact below 2^53")]
+    let real = count as f64;
+    real
+}
+
 /// A table with a head, its columns as wide as they need.
 #[must_use]
 pub fn table(head: &[&str], rows: &[Vec<String>]) -> String {
@@ -183,7 +191,11 @@ mod tests {
         report.check(true, "a");
         report.not_run("b", "no board");
         assert_eq!(report.counts(), (1, 0, 1));
-        assert!(report.closing("x", 1.0).contains("NOT RUN: x: b: no board\ntest result: ok. 1 passed; 0 failed; 0 ignored"));
+        assert!(
+            report
+                .closing("x", 1.0)
+                .contains("NOT RUN: x: b: no board\ntest result: ok. 1 passed; 0 failed; 0 ignored")
+        );
         report.check(false, "c");
         assert!(report.closing("x", 1.0).contains("test result: FAILED. 1 passed; 1 failed"));
         assert_eq!(report.document("x")["checks"][1]["result"], "not run");

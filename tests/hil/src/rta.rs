@@ -66,7 +66,9 @@ pub fn analyse(table: &TaskTable) -> Result<Vec<Response>, RtaError> {
             continue;
         };
         let mut others = Vec::new();
-        for (_, other) in table.tasks.iter().enumerate().filter(|(at, other)| *at != place && other.priority >= task.priority) {
+        for (_, other) in
+            table.tasks.iter().enumerate().filter(|(at, other)| *at != place && other.priority >= task.priority)
+        {
             let cycles = other.worst_cycles.ok_or_else(|| RtaError::NoCycles(other.name.clone()))?;
             let every = other.every_us.ok_or_else(|| RtaError::NoInterval(other.name.clone()))?;
             others.push((every, us(cycles)));
@@ -81,7 +83,8 @@ pub fn analyse(table: &TaskTable) -> Result<Vec<Response>, RtaError> {
 
 /// The longest lock of a lower task on something with a ceiling at or above `task`'s priority.
 fn longest_lock(tasks: &[Task], task: &Task) -> f64 {
-    let reaches = |share: &String| tasks.iter().any(|user| user.priority >= task.priority && user.shares.contains(share));
+    let reaches =
+        |share: &String| tasks.iter().any(|user| user.priority >= task.priority && user.shares.contains(share));
     let lower = tasks.iter().filter(|other| other.priority < task.priority && other.shares.iter().any(reaches));
     lower.filter_map(|other| other.lock_cycles).fold(0.0, f64::max)
 }
@@ -133,7 +136,8 @@ mod tests {
     #[test]
     fn a_table_that_cannot_be_met_fails() {
         let mut tasks = vec![task("a", 3, 7.0, 3.0, 7.0), task("b", 2, 12.0, 3.0, 12.0), task("c", 1, 20.0, 5.0, 19.0)];
-        let met: Vec<bool> = analyse(&TaskTable { mhz: 1.0, tasks: tasks.clone() }).unwrap().iter().map(Response::is_met).collect();
+        let met: Vec<bool> =
+            analyse(&TaskTable { mhz: 1.0, tasks: tasks.clone() }).unwrap().iter().map(Response::is_met).collect();
         assert_eq!(met, [true, true, false]);
         tasks[0].worst_cycles = Some(7.0);
         assert_eq!(responses(tasks)[1..], [None, None], "nothing is left for the others");
@@ -152,7 +156,10 @@ mod tests {
     /// Equal ones do not preempt one another, but each may have come first.
     #[test]
     fn equal_priorities_stand_in_each_others_way() {
-        assert_eq!(responses(vec![task("a", 1, 50.0, 4.0, 50.0), task("b", 1, 50.0, 6.0, 50.0)]), [Some(10.0), Some(10.0)]);
+        assert_eq!(
+            responses(vec![task("a", 1, 50.0, 4.0, 50.0), task("b", 1, 50.0, 6.0, 50.0)]),
+            [Some(10.0), Some(10.0)]
+        );
     }
 
     #[test]

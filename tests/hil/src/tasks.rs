@@ -71,7 +71,8 @@ impl TaskTable {
     /// [`TableError`].
     pub fn read(source: &str) -> Result<Self, TableError> {
         let docs: Vec<&str> = source.lines().map_while(|line| line.strip_prefix("//!")).map(str::trim).collect();
-        let head_at = docs.iter().position(|line| cells(line).starts_with(&["task".to_owned()])).ok_or(TableError::NoTable)?;
+        let head_at =
+            docs.iter().position(|line| cells(line).starts_with(&["task".to_owned()])).ok_or(TableError::NoTable)?;
         let head = cells(docs[head_at]);
         let column = |name: &'static str| {
             head.iter().position(|cell| cell.to_lowercase().starts_with(name)).ok_or(TableError::NoFigures(name))
@@ -87,12 +88,16 @@ impl TaskTable {
             let name = cell(0);
             let value = |at: usize| number(&cell(at)).map_err(|cell| wrong(&name, &head[at], cell));
             let level = value(priority)?.ok_or_else(|| wrong(&name, "priority", "-".to_owned()))?;
-            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a priority is below 256; saturates")]
+            #[expect(
+                clippy::cast_possible_truncation,
+                clippy::cast_sign_loss,
+                reason = "a priority is below 256; saturates"
+            )]
             let priority = level as u8;
             let (every_us, deadline_us) = (value(every)?, value(deadline)?);
             let (worst_cycles, lock_cycles) = (value(worst)?, value(lock)?);
-            let shared = cell(shares);
-            let shares = shared.split(',').map(str::trim).filter(|share| !matches!(*share, "" | "-")).map(str::to_owned);
+            let text = cell(shares);
+            let shares = text.split(',').map(str::trim).filter(|share| !matches!(*share, "" | "-")).map(str::to_owned);
             let shares = shares.collect();
             Ok(Task { name, priority, every_us, deadline_us, shares, worst_cycles, lock_cycles })
         });
@@ -115,7 +120,9 @@ fn cells(line: &str) -> Vec<String> {
 fn number(cell: &str) -> Result<Option<f64>, String> {
     match cell {
         "-" | "" => Ok(None),
-        text => text.replace(',', "").parse().ok().filter(|value| *value >= 0.0).map(Some).ok_or_else(|| text.to_owned()),
+        text => {
+            text.replace(',', "").parse().ok().filter(|value| *value >= 0.0).map(Some).ok_or_else(|| text.to_owned())
+        }
     }
 }
 

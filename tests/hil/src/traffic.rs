@@ -53,8 +53,7 @@ impl Traffic {
     /// Traffic between links 0 and 1 of a host, both at one hub; `routes` lead from each to the other.
     #[must_use]
     pub fn new(seed: u64, routes: [RouteBuf; 2], core_port: osap_protocol::PortIndex) -> Self {
-        let destinations =
-            routes.map(|route| Destination { route, mtu_bytes: 256, ttl_us: TTL_US, port: core_port });
+        let destinations = routes.map(|route| Destination { route, mtu_bytes: 256, ttl_us: TTL_US, port: core_port });
         Self { seed, destinations, directions: Default::default(), wrong: 0 }
     }
 

@@ -8,7 +8,7 @@
 use super::Context;
 use crate::cosim::{NS_PER_MS, Profile, WireFaults};
 use crate::pico::{Bench, cycles_us, route};
-use crate::report::{Failure, Report, table};
+use crate::report::{Failure, Report, real, table};
 use crate::tasks::TaskTable;
 use crate::traffic::Traffic;
 use fixed_math::time::Span;
@@ -39,7 +39,8 @@ pub(super) fn run(context: &Context) -> Result<Report, Failure> {
     for (load, faults) in [("full load", None), ("full, errors", Some(faults))] {
         let mut bench = Bench::loop_through_hub(&context.places, context.seed, faults)?;
         profile(&bench)?;
-        let mut traffic = Traffic::new(context.seed, ["/0/1", "/1/0"].map(|text| route(text).to_buf()), PortIndex::from_low_bits(2));
+        let mut traffic =
+            Traffic::new(context.seed, ["/0/1", "/1/0"].map(|text| route(text).to_buf()), PortIndex::from_low_bits(2));
         let until = bench.session.network().now() + Span::from_us(200_000);
         let task = move |core: &mut osap::core::HostCore, now| {
             traffic.take(core);
@@ -106,17 +107,25 @@ fn describe(report: &mut Report, loads: &[(&str, Profile)]) -> Most {
     head.extend(["worst", "µs", "pending µs"]);
     report.line(table(&head, &rows));
     for (load, profile) in loads {
-        let busy = 100.0 - 100.0 * profile.sleep_cycles as f64 / profile.cycles.max(1) as f64;
+        let busy = 100.0 - 100.0 * real(profile.sleep_cycles) / real(profile.cycles.max(1));
         let (receive, routed) = (profile.irq(11).count, profile.irq(26).count);
         let share = |(name, irq): &(&str, u32)| {
-            let part = 100.0 * profile.irq(*irq).cycles_total as f64 / profile.cycles.max(1) as f64;
+            let part = 100.0 * real(profile.irq(*irq).cycles_total) / real(profile.cycles.max(1));
             (part >= 1.0).then(|| format!("{name} {part:.0} %"))
         };
         let shares: Vec<String> = TASKS.iter().filter_map(share).collect();
-        report.line(format!("{load}: {busy:.0} % busy ({}), {receive} receive interrupts, {routed} runs of route", shares.join(", ")));
+        report.line(format!(
+            "{load}: {busy:.0} % busy ({}), {receive} receive interrupts, {routed} runs of route",
+            shares.join(", ")
+        ));
     }
     report.line(format!("longest with all interrupts masked: {masked} cycles"));
-    report.datum("worst_cycles", most.iter().map(|(task, (worst, latency))| json!({ "task": task, "cycles": worst, "pending_cycles": latency })).collect());
+    report.datum(
+        "worst_cycles",
+        most.iter()
+            .map(|(task, (worst, latency))| json!({ "task": task, "cycles": worst, "pending_cycles": latency }))
+            .collect(),
+    );
     most
 }
 
@@ -132,7 +141,7 @@ fn compare(report: &mut Report, context: &Context, most: &Most) -> Result<(), Fa
     };
     for (task, (worst, _)) in most {
         let claim = claimed.tasks.iter().find(|it| it.name == *task).and_then(|it| it.worst_cycles);
-        let is_honest = claim.is_some_and(|claim| *worst as f64 <= claim);
+        let is_honest = claim.is_some_and(|claim| real(*worst) <= claim);
         report.check(is_honest, format!("{task}: {worst} cycles measured, {} in the table", claim.unwrap_or(0.0)));
     }
     Ok(())

@@ -76,7 +76,16 @@ impl Scenario {
     /// Those that `all` runs, with what they are given there.
     #[must_use]
     pub fn all() -> Vec<Self> {
-        vec![Self::Scan, Self::RoundTrip { count: 250, goal: None }, Self::Soak { ms: 2_000, errors: 1e-5 }, Self::Preemption, Self::Cycles, Self::Rta, Self::Settings, Self::Usb]
+        vec![
+            Self::Scan,
+            Self::RoundTrip { count: 250, goal: None },
+            Self::Soak { ms: 2_000, errors: 1e-5 },
+            Self::Preemption,
+            Self::Cycles,
+            Self::Rta,
+            Self::Settings,
+            Self::Usb,
+        ]
     }
 
     /// As it is called on the command line.

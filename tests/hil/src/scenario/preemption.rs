@@ -68,14 +68,22 @@ pub(super) fn run(context: &Context) -> Result<Report, Failure> {
     report.check(with.spun_ns >= SPIN_NS, format!("the user port spun for {:.1} ms", us(with.spun_ns) / 1_000.0));
     for (name, seen) in [("without", &without), ("with", &with)] {
         let (came, lost) = (seen.stream_came, seen.pings_lost);
-        report.check(came == STREAM_COUNT && lost == 0, format!("{name} the spin: {came} of {STREAM_COUNT} stream packets, {lost} pings lost"));
+        report.check(
+            came == STREAM_COUNT && lost == 0,
+            format!("{name} the spin: {came} of {STREAM_COUNT} stream packets, {lost} pings lost"),
+        );
     }
     let [worst_without, worst_with] = [&without, &with].map(|seen| seen.latencies_ns.last().copied().unwrap_or(0));
     report.check(
         worst_with <= worst_without + LONGEST_FRAME_NS,
-        format!("forwarding takes {:.1} µs at worst with the spin, {:.1} without: within one frame's time", us(worst_with), us(worst_without)),
+        format!(
+            "forwarding takes {:.1} µs at worst with the spin, {:.1} without: within one frame's time",
+            us(worst_with),
+            us(worst_without)
+        ),
     );
-    report.not_run("the same on the Cortex-M7", "its image is built without the feature `probe`, and QEMU has no cycles");
+    report
+        .not_run("the same on the Cortex-M7", "its image is built without the feature `probe`, and QEMU has no cycles");
     Ok(report)
 }
 
@@ -92,7 +100,12 @@ fn measure(bench: &mut Bench, turns: Option<u32>) -> Result<Seen, Failure> {
     let hub = bench.session.destination(&route("/0"));
     let device = bench.session.destination(&route("/0/1"));
     let stream = Destination { port: STREAM, ..device.clone() };
-    let request = StreamRequest { interval_us: STREAM_INTERVAL_US, payload_bytes: STREAM_BYTES, count: STREAM_COUNT, ttl_us: 20_000 };
+    let request = StreamRequest {
+        interval_us: STREAM_INTERVAL_US,
+        payload_bytes: STREAM_BYTES,
+        count: STREAM_COUNT,
+        ttl_us: 20_000,
+    };
     bench.cosim.borrow_mut().profile("hub", true)?;
     bench.keep_frames(true);
     let began = bench.now_ns();
@@ -104,7 +117,9 @@ fn measure(bench: &mut Bench, turns: Option<u32>) -> Result<Seen, Failure> {
     }
     let network = bench.session.network();
     let send = |network: &mut dyn Network, to: &Destination, payload: &[u8]| {
-        network.submit(to.clone(), Expect::One, payload).map_err(|error| Failure::Failed(format!("not sent: {error:?}")))
+        network
+            .submit(to.clone(), Expect::One, payload)
+            .map_err(|error| Failure::Failed(format!("not sent: {error:?}")))
     };
     let asked = send(network, &stream, &request.encode())?;
     let (mut spun_ns, mut pings_lost) = (0, 0);
@@ -118,7 +133,9 @@ fn measure(bench: &mut Bench, turns: Option<u32>) -> Result<Seen, Failure> {
             ping_at = now + PING_INTERVAL;
         }
         let is_waiting = open.is_empty() && now < end;
-        let Some(completion) = next(network, if is_waiting { ping_at.min(end) } else { LocalTicks::MAX })? else { continue };
+        let Some(completion) = next(network, if is_waiting { ping_at.min(end) } else { LocalTicks::MAX })? else {
+            continue;
+        };
         if Some(completion.ticket) == spinning {
             spinning = None;
             spun_ns = crate::network::first_ns(network.now()) - began;
@@ -135,17 +152,19 @@ fn measure(bench: &mut Bench, turns: Option<u32>) -> Result<Seen, Failure> {
     let frames = bench.keep_frames(false);
     let mut latencies_ns = latencies(&frames);
     latencies_ns.sort_unstable();
-    let numbers: BTreeSet<u32> = frames.iter().filter(|frame| frame.place == "host").filter_map(stream_number).collect();
+    let numbers: BTreeSet<u32> =
+        frames.iter().filter(|frame| frame.place == "host").filter_map(stream_number).collect();
     let stream_came = u32::try_from(numbers.len()).unwrap_or(0);
     Ok(Seen { latencies_ns, stream_came, pings_lost, spun_ns, profile })
 }
-
 
 /// The next answer, if it comes before `until`.
 fn next(network: &mut dyn Network, until: LocalTicks) -> Result<Option<Completion>, Failure> {
     let (found, result) = std::sync::mpsc::sync_channel(1);
     // one message: the task is called no more after it said so
-    let task = move |core: &mut HostCore, _| core.take_completion().is_some_and(|completion| found.try_send(completion).is_ok());
+    let task = move |core: &mut HostCore, _| {
+        core.take_completion().is_some_and(|completion| found.try_send(completion).is_ok())
+    };
     network.drive(until, Box::new(task))?;
     Ok(result.try_recv().ok())
 }
@@ -183,7 +202,9 @@ fn latencies(frames: &[FrameRecord]) -> Vec<Ns> {
 /// What stays the same along the way: everything behind a route of two steps.
 fn body(bytes: &[u8]) -> Option<Vec<u8>> {
     let mut deframer = Deframer::<{ PACKET_BYTES + 2 }>::new(Check::Crc16);
-    let packet = bytes.iter().find_map(|byte| deframer.push(*byte, LocalTicks::ZERO)?.ok().map(|frame| frame.packet.to_vec()))?;
+    let packet = bytes
+        .iter()
+        .find_map(|byte| deframer.push(*byte, LocalTicks::ZERO)?.ok().map(|frame| frame.packet.to_vec()))?;
     // the transport's key and what follows; announcements are shorter or differ on both sides
     packet.get(PORT_HEADER_BYTES + 1..).map(<[u8]>::to_vec)
 }
@@ -197,7 +218,9 @@ fn stream_number(frame: &FrameRecord) -> Option<u32> {
 }
 
 fn describe(report: &mut Report, without: &Seen, with: &Seen) {
-    let rank = |times: &[Ns], percent: usize| times.get((times.len() * percent).div_ceil(100).max(1) - 1).copied().unwrap_or(0);
+    let rank = |times: &[Ns], percent: usize| {
+        times.get((times.len() * percent).div_ceil(100).max(1) - 1).copied().unwrap_or(0)
+    };
     let row = |name: &str, seen: &Seen| {
         let times = &seen.latencies_ns;
         let waits = seen.profile.uarts.iter().map(|uart| uart.rx_wait_ns_max).fold(0.0, f64::max);
@@ -213,7 +236,8 @@ fn describe(report: &mut Report, without: &Seen, with: &Seen) {
         let cells = figures.map(|figure| format!("{figure:.2}"));
         [name.to_owned(), times.len().to_string()].into_iter().chain(cells).collect::<Vec<String>>()
     };
-    let head = ["user port", "forwarded", "median", "p99", "max", "byte waits", "interrupt waits", "route waits", "masked"];
+    let head =
+        ["user port", "forwarded", "median", "p99", "max", "byte waits", "interrupt waits", "route waits", "masked"];
     report.line(table(&head, &[row("idle", without), row("spinning", with)]));
     report.line("Byte waits: from its arrival in the UART to the DMA. Interrupt waits: from pending to the receive interrupt's first instruction.");
     for (name, seen) in [("idle", without), ("spinning", with)] {

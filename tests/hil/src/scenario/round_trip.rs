@@ -30,10 +30,10 @@ const ANSWER_BYTES: usize = 75;
 /// Virtual nanoseconds of one exchange, by leg and device.
 #[derive(Clone, Debug, Default)]
 struct Exchange {
-    wire_ns: u64,
+    wire: u64,
     /// The hub on the way there, the device, the hub on the way back; the device alone where there is no hub.
-    processing_ns: Vec<u64>,
-    total_ns: u64,
+    processing: Vec<u64>,
+    total: u64,
 }
 
 pub(super) fn run(context: &Context, count: u32, goal_us: Option<f64>) -> Result<Report, Failure> {
@@ -44,23 +44,38 @@ pub(super) fn run(context: &Context, count: u32, goal_us: Option<f64>) -> Result
     ));
     let alone = measure(Bench::device(&context.places, context.seed)?, "/0", &["host"], context.seed, count)?;
     describe(&mut report, "a device at the host", &alone, &["device"]);
-    let behind =
-        measure(Bench::hub_and_device(&context.places, context.seed, None)?, "/0/1", &["host", "inner"], context.seed, count)?;
+    let behind = measure(
+        Bench::hub_and_device(&context.places, context.seed, None)?,
+        "/0/1",
+        &["host", "inner"],
+        context.seed,
+        count,
+    )?;
     describe(&mut report, "a device behind a hub", &behind, &["hub, there", "device", "hub, back"]);
     report.line(format!("Wire: sum of all legs, both ways. Thesis, Table 2.7: {THESIS_BEST_US} µs of processing for its fastest, an RP2040 at 200 MHz."));
-    let device = |all: &[Exchange], place: usize| sorted(all.iter().map(|it| it.processing_ns[place]));
+    let device = |all: &[Exchange], place: usize| sorted(all.iter().map(|it| it.processing[place]));
     let (alone_ns, behind_ns) = (device(&alone, 0), device(&behind, 1));
     for (name, times, exchanges, links) in [("alone", &alone_ns, &alone, 1), ("behind a hub", &behind_ns, &behind, 2)] {
         let median = us(rank(times, 50));
         let word = if median <= GOAL_US { "met" } else { "missed" };
         report.line(format!("Goal of {GOAL_US} µs for a device {name}: {word}, {median:.1} µs (median)"));
         if let Some(goal_us) = goal_us {
-            report.check(median <= goal_us, format!("a device {name} takes {median:.1} µs (median) of at most {goal_us}"));
+            report.check(
+                median <= goal_us,
+                format!("a device {name} takes {median:.1} µs (median) of at most {goal_us}"),
+            );
         }
         let least_ns = wire_ns(links);
-        let slowest = exchanges.iter().map(|it| it.wire_ns).max().unwrap_or(0);
-        let is_wire = exchanges.iter().all(|it| it.wire_ns >= least_ns);
-        report.check(is_wire, format!("{name}: wire time is that of the bytes, {:.1} µs, at least; {:.1} at most", us(least_ns), us(slowest)));
+        let slowest = exchanges.iter().map(|it| it.wire).max().unwrap_or(0);
+        let is_wire = exchanges.iter().all(|it| it.wire >= least_ns);
+        report.check(
+            is_wire,
+            format!(
+                "{name}: wire time is that of the bytes, {:.1} µs, at least; {:.1} at most",
+                us(least_ns),
+                us(slowest)
+            ),
+        );
         report.check(exchanges.len() == count as usize, format!("{name}: {count} questions answered at the first try"));
     }
     Ok(report)
@@ -86,7 +101,12 @@ fn measure(mut bench: Bench, to: &str, places: &[&str], seed: u64, count: u32) -
         bench.session.ping(&to, &once, &mut |_, result| answered = matches!(result, PingResult::Answered(_)))?;
         let frames = bench.keep_frames(false);
         let exchange = legs(&frames, places).filter(|_| answered);
-        let missing = || Failure::Failed(format!("question {number} (seed {seed}) was not answered at once: {} frames", frames.len()));
+        let missing = || {
+            Failure::Failed(format!(
+                "question {number} (seed {seed}) was not answered at once: {} frames",
+                frames.len()
+            ))
+        };
         all.push(exchange.ok_or_else(missing)?);
     }
     Ok(all)
@@ -109,22 +129,22 @@ fn legs(frames: &[FrameRecord], places: &[&str]) -> Option<Exchange> {
     legs.push(find((*port).to_owned(), answer)?);
     let between = |pair: &[&FrameRecord]| pair[1].start_ns.checked_sub(pair[0].end_ns);
     Some(Exchange {
-        wire_ns: legs.iter().map(|leg| leg.end_ns - leg.start_ns).sum(),
-        processing_ns: legs.windows(2).map(between).collect::<Option<_>>()?,
-        total_ns: legs.last()?.end_ns.checked_sub(legs.first()?.start_ns)?,
+        wire: legs.iter().map(|leg| leg.end_ns - leg.start_ns).sum(),
+        processing: legs.windows(2).map(between).collect::<Option<_>>()?,
+        total: legs.last()?.end_ns.checked_sub(legs.first()?.start_ns)?,
     })
 }
 
 fn describe(report: &mut Report, what: &str, all: &[Exchange], devices: &[&str]) {
     let mut parts: Vec<(String, Vec<u64>)> = vec![
-        ("round trip".to_owned(), sorted(all.iter().map(|it| it.total_ns))),
-        ("wire".to_owned(), sorted(all.iter().map(|it| it.wire_ns))),
+        ("round trip".to_owned(), sorted(all.iter().map(|it| it.total))),
+        ("wire".to_owned(), sorted(all.iter().map(|it| it.wire))),
     ];
     for (place, device) in devices.iter().enumerate() {
-        parts.push(((*device).to_owned(), sorted(all.iter().map(|it| it.processing_ns[place]))));
+        parts.push(((*device).to_owned(), sorted(all.iter().map(|it| it.processing[place]))));
     }
     if devices.len() > 1 {
-        parts.push(("processing, all".to_owned(), sorted(all.iter().map(|it| it.processing_ns.iter().sum()))));
+        parts.push(("processing, all".to_owned(), sorted(all.iter().map(|it| it.processing.iter().sum()))));
     }
     let ranks = [0, 50, 99, 100];
     let row = |(name, times): &(String, Vec<u64>)| {
@@ -170,8 +190,8 @@ mod tests {
             frame("host", 80, 541, 803),
         ];
         let exchange = legs(&frames, &["host", "inner"]).unwrap();
-        assert_eq!(exchange.processing_ns, [10, 20, 30]);
-        assert_eq!((exchange.wire_ns, exchange.total_ns), (643, 703));
+        assert_eq!(exchange.processing, [10, 20, 30]);
+        assert_eq!((exchange.wire, exchange.total), (643, 703));
         assert!(legs(&frames[..4], &["host", "inner"]).is_none(), "no answer came");
         assert_eq!([0, 50, 99, 100].map(|percent| rank(&[1, 2, 3, 4], percent)), [1, 2, 4, 4]);
     }

@@ -33,15 +33,34 @@ fn image(report: &mut Report, name: &str, tasks: &TaskTable) {
     let text = |us: Option<f64>| us.map_or("none".to_owned(), |us| format!("{us:.1}"));
     let rows: Vec<Vec<String>> = responses
         .iter()
-        .map(|it| vec![it.name.clone(), text(Some(it.own_us)), text(Some(it.blocked_us)), text(it.response_us), text(it.deadline_us)])
+        .map(|it| {
+            vec![
+                it.name.clone(),
+                text(Some(it.own_us)),
+                text(Some(it.blocked_us)),
+                text(it.response_us),
+                text(it.deadline_us),
+            ]
+        })
         .collect();
     report.line(format!("{name} at {} MHz, µs", tasks.mhz));
     report.line(table(&["task", "own", "blocked", "response", "deadline"], &rows));
     let load: f64 = tasks.tasks.iter().filter_map(|task| Some(task.worst_cycles? / tasks.mhz / task.every_us?)).sum();
     report.line(format!("load, all at their worst: {:.0} %", load * 100.0));
-    report.datum(name, responses.iter().map(|it| json!({ "task": it.name, "response_us": it.response_us, "deadline_us": it.deadline_us })).collect());
+    report.datum(
+        name,
+        responses
+            .iter()
+            .map(|it| json!({ "task": it.name, "response_us": it.response_us, "deadline_us": it.deadline_us }))
+            .collect(),
+    );
     for response in responses.iter().filter(|response| response.deadline_us.is_some()) {
-        let what = format!("{name}: {} responds in {} µs of {}", response.name, text(response.response_us), text(response.deadline_us));
+        let what = format!(
+            "{name}: {} responds in {} µs of {}",
+            response.name,
+            text(response.response_us),
+            text(response.deadline_us)
+        );
         report.check(response.is_met(), what);
     }
 }

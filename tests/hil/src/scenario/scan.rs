@@ -46,7 +46,9 @@ pub(super) fn run(context: &Context) -> Result<Report, Failure> {
     let mut epochs: BTreeMap<Part, u64> = BTreeMap::new();
     for order in ORDERS {
         // a real board stays powered: it has no switch here
-        Part::ALL.into_iter().for_each(|part| machine.kill(part));
+        for part in Part::ALL {
+            machine.kill(part);
+        }
         for part in order {
             machine.start(part)?;
         }
@@ -66,8 +68,12 @@ pub(super) fn run(context: &Context) -> Result<Report, Failure> {
         }
         let (seen, scans) = kill_and_restart(&osap, &mut machine, part)?;
         let is_higher = seen[&part].boot_epoch > epochs[&part];
-        let others = Part::ALL.iter().filter(|other| **other != part).all(|other| seen[other].boot_epoch == epochs[other]);
-        report.check(is_higher && others, format!("{} restarted during a scan: its epoch alone went up", part.type_name()));
+        let others =
+            Part::ALL.iter().filter(|other| **other != part).all(|other| seen[other].boot_epoch == epochs[other]);
+        report.check(
+            is_higher && others,
+            format!("{} restarted during a scan: its epoch alone went up", part.type_name()),
+        );
         let kept = Part::ALL.iter().all(|part| seen[part].name == new_name(*part));
         report.check(kept, format!("{} restarted: all names kept", part.type_name()));
         epochs = seen.iter().map(|(part, seen)| (*part, seen.boot_epoch)).collect();
@@ -202,7 +208,8 @@ mod tests {
     }
 
     fn scanned(devices: Vec<Value>) -> Value {
-        json!({ "map": { "devices": [vec![json!({ "unique_id": "host" })], devices].concat() } })
+        let all = [vec![json!({ "unique_id": "host" })], devices].concat();
+        json!({ "map": { "devices": all } })
     }
 
     #[test]

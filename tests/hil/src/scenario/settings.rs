@@ -19,6 +19,8 @@ const ROUTE: &str = "SW0_IRQ";
 const UNDEFINED: [u8; 2] = [0x00, 0xde];
 /// `b .`: for ever.
 const FOREVER: [u8; 2] = [0xfe, 0xe7];
+/// Starts a hub anew.
+type Restart = fn(&mut Bench) -> Result<(), Failure>;
 /// A boot, and the announcements after it.
 const BOOT_NS: u64 = 400 * NS_PER_MS;
 
@@ -28,7 +30,10 @@ pub(super) fn run(context: &Context) -> Result<Report, Failure> {
     name(&mut report, &mut bench)?;
     failure(&mut report, &mut bench, "a fault", UNDEFINED, "fault at")?;
     failure(&mut report, &mut bench, "a hang", FOREVER, "watchdog")?;
-    report.not_run("a fault of the Cortex-M7", "QEMU offers nothing to make one by; its name and epochs over kills are in `scan`");
+    report.not_run(
+        "a fault of the Cortex-M7",
+        "QEMU offers nothing to make one by; its name and epochs over kills are in `scan`",
+    );
     Ok(report)
 }
 
@@ -47,9 +52,12 @@ fn name(report: &mut Report, bench: &mut Bench) -> Result<(), Failure> {
         "Pings through the hub: {:.1} µs at most before, {:.1} µs while it writes its name; {} of {} answered at once",
         before.max_us, during.max_us, during.answered, during.sent
     ));
-    report.check(during.answered == during.sent, format!("{} pings while the hub writes to flash, {} answered at once", during.sent, during.answered));
+    report.check(
+        during.answered == during.sent,
+        format!("{} pings while the hub writes to flash, {} answered at once", during.sent, during.answered),
+    );
     let epoch = bench.session.runtime_info(&hub)?.value.boot_epoch;
-    let restarts: [(&str, fn(&mut Bench) -> Result<(), Failure>); 2] = [("power-off", power_cycle), ("reset", reset)];
+    let restarts: [(&str, Restart); 2] = [("power-off", power_cycle), ("reset", reset)];
     for (number, (what, restart)) in (1..).zip(restarts) {
         restart(bench)?;
         let kept = bench.session.name(&hub)?.value;

@@ -9,7 +9,7 @@ use super::Context;
 use crate::account::Leg;
 use crate::cosim::WireFaults;
 use crate::pico::{Bench, route};
-use crate::report::{Failure, Report, table};
+use crate::report::{Failure, Report, real, table};
 use crate::traffic::{Traffic, is_ours};
 use fixed_math::time::Span;
 use osap_protocol::{DropCause, PortIndex};
@@ -97,7 +97,7 @@ pub(super) fn run(context: &Context, ms: u64, errors: f64) -> Result<Report, Fai
         }
     }
     let bytes = [0, 1, 2, 3].map(|leg| legs.all[leg].leg.bytes - bytes_before[leg]);
-    let seconds = (bench.now_ns() - started_ns) as f64 / 1e9;
+    let seconds = real(bench.now_ns() - started_ns) / 1e9;
     drive(&mut bench, &traffic, DRAIN_MS, false)?;
     legs.note(&mut bench);
     let profile = bench.cosim.borrow_mut().profile("hub", false)?;
@@ -110,7 +110,7 @@ pub(super) fn run(context: &Context, ms: u64, errors: f64) -> Result<Report, Fai
         began.elapsed().as_secs_f64()
     ));
     describe(&mut report, &legs, &traffic, bytes, seconds);
-    let busy = 1.0 - profile.sleep_cycles as f64 / profile.cycles.max(1) as f64;
+    let busy = 1.0 - real(profile.sleep_cycles) / real(profile.cycles.max(1));
     report.line(format!("Hub: {:.0} % of its processor busy since power-on", busy * 100.0));
     verdicts(&mut report, &legs, &traffic, &hub, &host);
     Ok(report)
@@ -134,11 +134,7 @@ fn drive(bench: &mut Bench, traffic: &Arc<Mutex<Traffic>>, ms: u64, feeding: boo
 type Counts = BTreeMap<DropCause, u64>;
 
 /// Reads what hub and host counted, at an instant at which nothing more was on its way to be counted.
-fn counters(
-    bench: &mut Bench,
-    traffic: &Arc<Mutex<Traffic>>,
-    legs: &mut Legs,
-) -> Result<(Counts, Counts), Failure> {
+fn counters(bench: &mut Bench, traffic: &Arc<Mutex<Traffic>>, legs: &mut Legs) -> Result<(Counts, Counts), Failure> {
     loop {
         drive(bench, traffic, 1, false)?;
         legs.note(bench);
@@ -161,16 +157,31 @@ fn describe(report: &mut Report, legs: &Legs, traffic: &Traffic, bytes: [u64; 4]
     let mut rows = Vec::new();
     for (number, name) in NAMES.iter().enumerate() {
         let Watched { leg, ours_sent, ours_came } = &legs.all[number];
-        let used = bytes[number] as f64 / seconds / WIRE_BYTES_S * 100.0;
-        let cells = [leg.bytes, leg.changed, *ours_sent, *ours_came, leg.lost(), leg.bad_all(), leg.destroyed, leg.made, leg.empty];
-        rows.push([(*name).to_owned(), format!("{used:.1} %")].into_iter().chain(cells.map(|cell| cell.to_string())).collect());
+        let used = real(bytes[number]) / seconds / WIRE_BYTES_S * 100.0;
+        let cells = [
+            leg.bytes,
+            leg.changed,
+            *ours_sent,
+            *ours_came,
+            leg.lost(),
+            leg.bad_all(),
+            leg.destroyed,
+            leg.made,
+            leg.empty,
+        ];
+        rows.push(
+            [(*name).to_owned(), format!("{used:.1} %")]
+                .into_iter()
+                .chain(cells.map(|cell| cell.to_string()))
+                .collect(),
+        );
         let figures = json!({ "bytes": leg.bytes, "changed": leg.changed, "sent": ours_sent, "came": ours_came, "used_percent": used });
         report.datum(name, figures);
     }
     let head = ["leg", "used", "bytes", "changed", "packets", "came", "frames lost", "drops", "joined", "cut", "empty"];
     report.line(table(&head, &rows));
     for (way, direction) in ["a to b", "b to a"].into_iter().zip(&traffic.directions) {
-        let rate = direction.delivered_bytes as f64 / seconds / 1_000.0;
+        let rate = real(direction.delivered_bytes) / seconds / 1_000.0;
         report.line(format!(
             "{way}: {} sent, {} delivered, {rate:.1} kB/s of payload",
             direction.sent, direction.delivered
@@ -191,7 +202,10 @@ fn verdicts(report: &mut Report, legs: &Legs, traffic: &Traffic, hub: &Counts, h
     for (name, watched) in NAMES.iter().zip(&legs.all) {
         let leg = &watched.leg;
         let (lost, bad) = (leg.lost(), leg.bad_all());
-        let sum = format!("{lost} frames lost = {bad} drops + {} empty + {} joined - {} cut", leg.empty, leg.destroyed, leg.made);
+        let sum = format!(
+            "{lost} frames lost = {bad} drops + {} empty + {} joined - {} cut",
+            leg.empty, leg.destroyed, leg.made
+        );
         report.check(leg.balances(), format!("{name}: {sum}"));
     }
     let split = |counts: &Counts| -> (Counts, u64) {
@@ -200,17 +214,27 @@ fn verdicts(report: &mut Report, legs: &Legs, traffic: &Traffic, hub: &Counts, h
     };
     let (hub_frames, hub_others) = split(hub);
     let (host_frames, host_others) = split(host);
-    report.check(hub_frames == legs.predicted(AT_HUB), format!("the hub counted each bad frame: {}", names(&hub_frames)));
-    report.check(host_frames == legs.predicted(AT_HOST), format!("the host counted each bad frame: {}", names(&host_frames)));
+    report
+        .check(hub_frames == legs.predicted(AT_HUB), format!("the hub counted each bad frame: {}", names(&hub_frames)));
+    report.check(
+        host_frames == legs.predicted(AT_HOST),
+        format!("the host counted each bad frame: {}", names(&host_frames)),
+    );
     let [a, to_b, b, to_a] = &legs.all;
     let missing = (a.ours_came + b.ours_came).checked_sub(to_b.ours_sent + to_a.ours_sent);
-    report.check(missing == Some(hub_others), format!("{hub_others} packets that reached the hub and did not leave it, all counted"));
+    report.check(
+        missing == Some(hub_others),
+        format!("{hub_others} packets that reached the hub and did not leave it, all counted"),
+    );
     let [there, back] = &traffic.directions;
     let accepted = u64::from(there.sent + back.sent);
     let delivered = u64::from(there.delivered + back.delivered);
     let unsent = accepted - (a.ours_sent + b.ours_sent);
     let untaken = (to_b.ours_came + to_a.ours_came).checked_sub(delivered);
-    report.check(untaken.map(|count| count + unsent) == Some(host_others), format!("{host_others} packets dropped by the host, all counted"));
+    report.check(
+        untaken.map(|count| count + unsent) == Some(host_others),
+        format!("{host_others} packets dropped by the host, all counted"),
+    );
     let on_wires: u64 = legs.all.iter().map(|watched| watched.ours_sent - watched.ours_came).sum();
     report.check(
         accepted == delivered + on_wires + hub_others + host_others,

@@ -22,12 +22,18 @@ pub(super) fn run(context: &Context) -> Result<Report, Failure> {
     let found: Vec<String> =
         scanned.map.devices.iter().map(|device| format!("{} at {}", device.type_name, device.route())).collect();
     report.line(format!("Found over USB: {}", found.join(", ")));
-    report.check(found.iter().any(|device| device == "hub at /0"), format!("a scan over USB-CDC finds {}", found.join(", ")));
+    report.check(
+        found.iter().any(|device| device == "hub at /0"),
+        format!("a scan over USB-CDC finds {}", found.join(", ")),
+    );
     let to = bench.session.destination(&crate::pico::route("/0"));
     for len in [1, 63, 64, 65, 128, 200] {
         let payload: Vec<u8> = (0..len).collect();
         let echo = bench.session.echo(&to, Transport::Sequenced, &payload);
-        let came = echo.map_or_else(|error| error.to_string(), |echo| if echo.payload == payload { "as they were".to_owned() } else { "different".to_owned() });
+        let came = echo.map_or_else(
+            |error| error.to_string(),
+            |echo| if echo.payload == payload { "as they were".to_owned() } else { "different".to_owned() },
+        );
         report.check(came == "as they were", format!("{len} bytes sent over USB come back {came}"));
     }
     Ok(report)
