@@ -3,10 +3,11 @@
 //! - **Walk:** host → packets of up to 64 bytes → [`Wire::drain`]; [`Wire::send`] → packets → host.
 //! - **Invariants:** bytes are never lost: a packet is taken from the hardware only to be handed over whole, and the hardware refuses the
 //!   host's next one meanwhile. So the stream needs no check, `[FRM-04]`.
-//! - **Context:** the routing task and `USBCTRL_IRQ` at the same priority.
+//! - **Context:** the routing task, and `USBCTRL_IRQ` at the same priority, which does no more than wake it.
 
 use core::mem::MaybeUninit;
 use core::ptr::addr_of_mut;
+use cortex_m::peripheral::NVIC;
 use firmware_app::Wire;
 use fixed_math::time::LocalTicks;
 use osap_protocol::framing::{Check, DELIMITER, encoded_len_max};
@@ -37,8 +38,8 @@ pub struct UsbWire {
     left: core::ops::Range<usize>,
     /// The last packet was a full one, so the host waits for what ends the transfer.
     full: bool,
-    /// The bus had something to say since the last time all packets were taken.
-    readable: bool,
+    /// The bus has something to say, and its interrupt is off until it was heard.
+    asked: bool,
 }
 
 impl UsbWire {
@@ -70,14 +71,14 @@ impl UsbWire {
             .expect("64 is a packet size")
             .device_class(USB_CLASS_CDC)
             .build();
-        Self { device, class, frame: [0; FRAME_BYTES], left: 0..0, full: false, readable: false }
+        Self { device, class, frame: [0; FRAME_BYTES], left: 0..0, full: false, asked: false }
     }
 
-    /// Does what the bus asks for. In its interrupt.
+    /// The bus has something to say: leaves it to routing. In its interrupt, which stays away until [`Wire::drain`] has attended to it:
+    /// the hardware goes on asking as long as a packet waits to be read, so that whoever only looks is asked for ever.
     pub fn poll(&mut self) {
-        self.device.poll(&mut [&mut self.class]);
-        self.readable = true;
-        self.go_on();
+        NVIC::mask(pac::Interrupt::USBCTRL_IRQ);
+        self.asked = true;
     }
 
     /// Gives the hardware the frame's next packet where it takes one.
@@ -99,13 +100,17 @@ impl Wire for UsbWire {
 
     fn drain(&mut self, now: LocalTicks, mut take: impl FnMut(&[u8], LocalTicks)) {
         // the hardware is not asked in vain: its registers are slow, and routing comes by for every frame of other links
-        if !core::mem::take(&mut self.readable) {
+        if !core::mem::take(&mut self.asked) {
             return;
         }
+        self.device.poll(&mut [&mut self.class]);
         let mut packet = [0; PACKET_BYTES as usize];
         while let Ok(len) = self.class.read_packet(&mut packet) {
             packet[..len].split_inclusive(|byte| *byte == DELIMITER).for_each(|run| take(run, now));
         }
+        self.go_on();
+        // SAFETY: no lock counts on this interrupt to be off, since routing, which runs this, is of the same priority
+        unsafe { NVIC::unmask(pac::Interrupt::USBCTRL_IRQ) };
     }
 
     fn take_overruns(&mut self) -> u32 {
