@@ -3,6 +3,7 @@
 //! - **Invariant:** what is missing is told with the command that makes it.
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 /// An image that emulators run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -83,11 +84,21 @@ impl Places {
         self.root.join("tests/hil/rp2040/src/server.mjs")
     }
 
-    /// The program `osap`, beside this one.
+    /// The program `osap`, beside this one; Cargo builds it where Cargo runs this, so that it is never an old one.
     ///
     /// # Errors
     /// [`Missing`].
     pub fn osap(&self) -> Result<PathBuf, Missing> {
+        if let Some(cargo) = std::env::var_os("CARGO") {
+            let build = Command::new(cargo)
+                .args(["build", "--quiet", "--release", "-p", "osap"])
+                .current_dir(&self.root)
+                .status();
+            let is_built = build.is_ok_and(|status| status.success());
+            if !is_built {
+                eprintln!("hil: the program osap was not built: an older one is taken, if there is one");
+            }
+        }
         let here = std::env::current_exe().unwrap_or_default();
         let path = here.with_file_name(format!("osap{}", std::env::consts::EXE_SUFFIX));
         let mend = "build it with `cargo build --release -p osap`".to_owned();

@@ -12,6 +12,7 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::mpsc::channel;
 use std::time::Duration;
 
 /// Scans that are tried until all is found that must be.
@@ -188,12 +189,17 @@ pub(super) fn up(context: &Context, port: u16, seconds: Option<u64>) -> Result<R
     let osap = context.places.osap().unwrap_or_else(|_| PathBuf::from("osap"));
     let link = machine.link();
     println!("The network is up: in another terminal\n  {} scan --link {link}\nCtrl-C ends it.", osap.display());
-    match seconds {
-        Some(seconds) => std::thread::sleep(Duration::from_secs(seconds)),
-        None => loop {
-            std::thread::park();
-        },
-    }
+    // the machine is dropped, and with it all processes, whatever ends this
+    let (ender, end) = channel();
+    let at_signal = ender.clone();
+    let caught = ctrlc::set_handler(move || {
+        // told twice is told enough
+        let _told = at_signal.send(());
+    });
+    caught.map_err(|error| Failure::Failed(format!("cannot catch Ctrl-C: {error}")))?;
+    let for_ever = Duration::from_secs(u64::from(u32::MAX));
+    let _ended = end.recv_timeout(seconds.map_or(for_ever, Duration::from_secs));
+    drop(ender);
     Ok(Report::new())
 }
 
