@@ -6,7 +6,7 @@
 //! | transmitted | DMA_IRQ_1   | 2        | 435      | -           | -           | 63                      | -           |
 //! | wake        | TIMER_IRQ_0 | 2        | 300      | -           | -           | 66                      | -           |
 //! | usb         | USBCTRL_IRQ | 2        | 1,000    | -           | links       | 3,557                   | -           |
-//! | route       | SW0_IRQ     | 2        | 435      | 853         | node, links | 37,000                  | -           |
+//! | route       | SW0_IRQ     | 2        | 435      | 853         | node, links | 39,000                  | -           |
 //! | serve       | SW1_IRQ     | 1        | -        | -           | node        | -                       | 420         |
 //! | idle        | -           | 0        | -        | -           | node        | -                       | 420         |
 //!
