@@ -39,11 +39,17 @@ impl DebugRing {
     }
 
     /// Writes `event` down where `level` is within the verbosity.
+    #[inline]
     pub fn record(&mut self, level: Verbosity, at: LocalTicks, event: impl FnOnce() -> Event) {
-        if level > self.verbosity {
-            return;
+        // in line, as most of what could be written down is left out
+        if level <= self.verbosity {
+            self.write(at, event());
         }
-        self.events.write(DebugEvent { at_us: at.as_us(), event: event() });
+    }
+
+    #[cold]
+    fn write(&mut self, at: LocalTicks, event: Event) {
+        self.events.write(DebugEvent { at_us: at.as_us(), event });
         self.end = self.end.wrapping_add(1);
     }
 

@@ -79,7 +79,6 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         let instruction = view.instruction();
         self.stage(Stage::Ingress, Taker::Gateway(index), now);
 
-        let view = Packet::check(&*packet)?;
         if let Instruction::System(_) | Instruction::Port { .. } = instruction {
             // the way ends here: what was taken must be a way, or nothing could go back by it
             Route::check(view.taken()).map_err(|_| DropCause::PointerOutside)?;
@@ -91,13 +90,13 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
                     Err(DropCause::SystemMalformed)
                 }
                 Some(SystemKey::Announcement) => {
-                    self.hear_announcement(arrival, sent_by, &packet[view.after_instruction()..], now)
+                    self.hear_announcement(arrival, sent_by, &view.bytes()[view.after_instruction()..], now)
                 }
                 _ => Err(DropCause::UnknownSystemKey),
             };
         }
         if let Instruction::Port { .. } = instruction
-            && let Some((key, payload)) = packet[view.after_instruction()..].split_first()
+            && let Some((key, payload)) = view.bytes()[view.after_instruction()..].split_first()
         {
             check_transport(*key, payload)?;
         }

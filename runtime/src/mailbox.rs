@@ -315,12 +315,13 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
             return Err(SendError::TooLong { len, limit });
         }
         let transport = packet.turn_back().ok_or(SendError::Refused(DropCause::NotForwarding))?;
+        let instruction = packet.instruction();
         if let Some(header) = sequenced {
             let room = self.pool.room_mut(slot);
             room[transport + 1..transport + 1 + SequencedHeader::LEN].copy_from_slice(&header.encode());
         }
         self.pool.set_len(slot, len);
-        self.route(self.pool.bytes(slot)).map_err(SendError::Refused)
+        self.decide(instruction, len).map_err(SendError::Refused)
     }
 }
 

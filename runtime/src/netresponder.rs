@@ -47,21 +47,20 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
             self.release(delivery, Some(cause), now);
             return;
         }
-        let mut query = [0; QUERY_BYTES_MAX];
         let payload = self.payload(&delivery);
-        let (key, len) = (payload[0], payload.len());
-        let limit = self.room_for_answer(&delivery);
+        let key = payload[0];
         // a copy of the query, and its slot for the answer: nothing else is as long
-        let (pool, mut desk) = self.desk(now);
-        let room = delivery.room(pool);
-        let served = match query.get_mut(..len).zip(room.get(..len)) {
-            Some((place, payload)) => {
-                place.copy_from_slice(payload);
+        let query = heapless::Vec::<u8, QUERY_BYTES_MAX>::from_slice(payload);
+        let served = match query {
+            Ok(query) => {
+                let limit = self.room_for_answer(&delivery);
+                let (pool, mut desk) = self.desk(now);
+                let room = delivery.room(pool);
                 let limit = limit.min(room.len());
-                decode(place).and_then(|message| desk.serve(message, &mut room[..limit]))
+                decode(&query).and_then(|message| desk.serve(message, &mut room[..limit]))
             }
             // longer than any query: its body cannot decode, if its version is ours at all
-            None => decode(room.get(..len).unwrap_or_default()).and(Err(Refusal::Body)),
+            Err(_) => decode(payload).and(Err(Refusal::Body)),
         };
         // an answer is counted where it fails, so nothing is lost silently
         let _counted = match served {

@@ -35,7 +35,7 @@ use crate::stack::Stack;
 use fixed_math::time::{LocalTicks, Span};
 use osap_protocol::discovery::{BuildKind, Event, Name, NeighbourChange, ScanId, Stage, UniqueId, Verbosity};
 use osap_protocol::system::NEIGHBOUR_TIMEOUT_US;
-use osap_protocol::{DropCause, GatewayIndex, Instruction, Packet, PortIndex};
+use osap_protocol::{DropCause, GatewayIndex, Instruction, PortIndex};
 
 /// Who a node is.
 #[derive(Clone, Copy, Debug)]
@@ -306,11 +306,6 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         Ok(id)
     }
 
-    /// Who takes `packet`, by the instruction its pointer is on.
-    pub(crate) fn route(&self, packet: &[u8]) -> Result<Taker, DropCause> {
-        self.decide(Packet::check(packet)?.instruction(), packet.len())
-    }
-
     /// Who takes a packet of `len` bytes that is at `instruction`.
     pub(crate) fn decide(&self, instruction: Instruction, len: usize) -> Result<Taker, DropCause> {
         decide(instruction, len, self.ports.len(), |index| {
@@ -356,12 +351,13 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
     }
 
     /// Records that a packet passed a stage.
+    #[inline]
     pub(crate) fn stage(&mut self, stage: Stage, who: Taker, now: LocalTicks) {
-        let index = match who {
+        let index = || match who {
             Taker::Gateway(index) => u16::from(index.get()),
             Taker::Port(index) => index.get(),
         };
-        self.debug.record(Verbosity::Packets, now, || Event::Stage { stage, index });
+        self.debug.record(Verbosity::Packets, now, || Event::Stage { stage, index: index() });
     }
 
     fn hold_of(&self, owner: Owner) -> (u8, u8) {

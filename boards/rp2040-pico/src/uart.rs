@@ -24,9 +24,9 @@ const RING_BITS: u32 = 9;
 const RING_MASK: usize = RING_BYTES - 1;
 /// The longest frame: a packet of 256 bytes.
 const FRAME_BYTES: usize = encoded_len_max(256, Check::Crc32);
-/// Routing is woken after so many bytes although no frame has ended, so that most of a long one is unstuffed when it does. A question is
-/// shorter, and is not held up by routing that has begun for half of it.
-const WAKE_BYTES: usize = 48;
+/// Routing is woken after so many bytes although no frame has ended, so that most of a frame is unstuffed and checked when it does. Each
+/// such turn takes about 700 cycles, and 60 more a byte, of the 3,300 in which the bytes come.
+const WAKE_BYTES: usize = 8;
 /// 1/256 µs a byte of ten bits takes, times 2^8.
 const BYTE_STEPS_Q8: u32 = ((10 * 256 * 256 * 1_000_000_u64) / UART_BAUD as u64) as u32;
 

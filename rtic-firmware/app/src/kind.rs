@@ -89,6 +89,17 @@ pub const CAMERA: Kind = Kind { type_name: "camera", version: [0, 1, 0], ports: 
 /// All of them.
 pub const KINDS: [Kind; 5] = [HUB, MOTOR, LOAD_CELL, HEATER, CAMERA];
 
+/// The same without their ports, for an image that is a node and nothing else.
+pub const WITHOUT_PORTS: [Kind; KINDS.len()] = {
+    let mut kinds = KINDS;
+    let mut at = 0;
+    while at < kinds.len() {
+        kinds[at].ports = &[];
+        at += 1;
+    }
+    kinds
+};
+
 #[cfg(test)]
 mod tests {
     use super::*;

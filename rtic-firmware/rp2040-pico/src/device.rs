@@ -9,9 +9,9 @@ use board_rp2040_pico::pac::{Interrupt, Peripherals};
 use board_rp2040_pico::uart::DmaUart;
 use board_rp2040_pico::{Board, UART_BAUD};
 use core::sync::atomic::{AtomicBool, Ordering};
-use firmware_app::lock::NodeLock;
+use firmware_app::kind::{self, Kind};
 use firmware_app::routing::{self, Links};
-use firmware_app::{Device, Link, Services, kind};
+use firmware_app::{Device, Link};
 use fixed_math::time::LocalTicks;
 use osap_protocol::discovery::{BuildKind, GatewayKind, Name, UniqueId};
 use osap_protocol::framing::Check;
@@ -25,7 +25,8 @@ pub const SERVE: Interrupt = Interrupt::SW1_IRQ;
 const SLOTS: usize = 16;
 const PACKET_BYTES: usize = 256;
 const GATEWAYS: usize = 3;
-const PORTS: usize = 4;
+/// The netresponder, and the services of a kind.
+const PORTS: usize = if cfg!(feature = "services") { 4 } else { 1 };
 const MESSAGE_BYTES: usize = 1024;
 const FRAME_BYTES: usize = PACKET_BYTES + Check::Crc16.len();
 
@@ -42,7 +43,14 @@ pub fn wake_routing() {
 /// This image's node.
 pub type PicoNode = Node<SLOTS, PACKET_BYTES, GATEWAYS, PORTS>;
 /// Its services.
-pub type PicoServices = Services<PACKET_BYTES, MESSAGE_BYTES>;
+#[cfg(feature = "services")]
+pub type PicoServices = firmware_app::Services<PACKET_BYTES, MESSAGE_BYTES>;
+/// None of them.
+#[cfg(not(feature = "services"))]
+pub type PicoServices = ();
+
+/// The kinds this image can be: all that there are, or in a node alone these without their services.
+static KINDS: [Kind; kind::KINDS.len()] = if cfg!(feature = "services") { kind::KINDS } else { kind::WITHOUT_PORTS };
 
 const UART: GatewayConfig = GatewayConfig {
     type_name: "uart",
@@ -129,9 +137,11 @@ impl Keeper {
 }
 
 /// The node behind RTIC's lock.
+#[cfg(feature = "services")]
 pub struct SharedNode<M>(pub M);
 
-impl<M: rtic::Mutex<T = PicoNode>> NodeLock for SharedNode<M> {
+#[cfg(feature = "services")]
+impl<M: rtic::Mutex<T = PicoNode>> firmware_app::lock::NodeLock for SharedNode<M> {
     type Node = PicoNode;
 
     fn lock<R>(&mut self, work: impl FnOnce(&mut PicoNode) -> R) -> R {
@@ -161,10 +171,13 @@ pub struct Parts {
 pub fn start(peripherals: Peripherals) -> Parts {
     let board = Board::init(peripherals, cfg!(feature = "usb"));
     let (keeper, name, boots) = settings();
-    let kind = &kind::KINDS[usize::from(board.straps) % kind::KINDS.len()];
+    let kind = &KINDS[usize::from(board.straps) % KINDS.len()];
     let id = UniqueId(board.unique_id);
-    let device = Device::new(kind, id, boots, BuildKind::Firmware, &name).expect("as many ports as the kinds have");
+    let device = Device::<_, _, _, _, MESSAGE_BYTES>::new(kind, id, boots, BuildKind::Firmware, &name)
+        .expect("as many ports as the kinds have");
     let (mut node, services) = device.into_parts();
+    #[cfg(not(feature = "services"))]
+    let services = drop(services);
     #[cfg(feature = "report")]
     if let Some(report) = &board.report {
         crate::handlers::tell(&mut node, report);

@@ -38,15 +38,18 @@ fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
 #[cfg(feature = "node")]
 #[rtic::app(device = board_rp2040_pico::pac, peripherals = true)]
 mod app {
-    use crate::device::{Keeper, PicoLinks, PicoNode, PicoServices, ROUTE, Routing, SERVE, SharedNode, wake_routing};
-    use board_rp2040_pico::clock::{self, Alarm};
+    #[cfg(feature = "services")]
+    use crate::device::SharedNode;
+    use crate::device::{Keeper, PicoLinks, PicoNode, PicoServices, ROUTE, Routing, SERVE, wake_routing};
+    use board_rp2040_pico::clock::Alarm;
     use board_rp2040_pico::uart;
-    use firmware_app::lock::SharedMailbox;
     use fixed_math::time::LocalTicks;
 
     #[shared]
     struct Shared {
         node: PicoNode,
+        /// Of tasks of one priority, so without a lock, which masks interrupts one by one.
+        #[lock_free]
         links: PicoLinks,
         /// When a service has something to send.
         due: Option<LocalTicks>,
@@ -95,25 +98,26 @@ mod app {
     }
 
     #[task(binds = USBCTRL_IRQ, priority = 2, shared = [links])]
-    fn usb(mut cx: usb::Context) {
-        cx.shared.links.lock(PicoLinks::poll_usb);
+    fn usb(cx: usb::Context) {
+        cx.shared.links.poll_usb();
         wake_routing();
     }
 
     #[task(binds = SW0_IRQ, priority = 2, shared = [node, links, due], local = [routing])]
     fn route(cx: route::Context) {
         let routing = cx.local.routing;
-        let mut shared = (cx.shared.node, cx.shared.links, cx.shared.due);
-        let serve = shared.lock(|node, links, due| routing.turn(node, links, *due));
+        let links = cx.shared.links;
+        let serve = (cx.shared.node, cx.shared.due).lock(|node, due| routing.turn(node, links, *due));
         if serve {
             rtic::pend(SERVE);
         }
     }
 
+    #[cfg(feature = "services")]
     #[task(binds = SW1_IRQ, priority = 1, shared = [node, due], local = [services])]
     fn serve(mut cx: serve::Context) {
-        let mut mailbox = SharedMailbox(SharedNode(cx.shared.node));
-        while cx.local.services.serve_next(&mut mailbox, clock::now()) {}
+        let mut mailbox = firmware_app::lock::SharedMailbox(SharedNode(cx.shared.node));
+        while cx.local.services.serve_next(&mut mailbox, board_rp2040_pico::clock::now()) {}
         let next = cx.local.services.next_wake();
         cx.shared.due.lock(|due| *due = next);
         wake_routing();
