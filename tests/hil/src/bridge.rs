@@ -262,3 +262,39 @@ impl Carrier {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::net::TcpStream;
+    use std::os::unix::net::UnixListener;
+
+    fn exchange(caller: &mut TcpStream, emulator: &mut UnixStream, text: &[u8]) {
+        let mut room = vec![0; text.len()];
+        caller.write_all(text).unwrap();
+        emulator.read_exact(&mut room).unwrap();
+        emulator.write_all(&room).unwrap();
+        caller.read_exact(&mut room).unwrap();
+        assert_eq!(room, text);
+    }
+
+    /// Both ends go away and come back; what is at the other end stays connected.
+    #[test]
+    fn bytes_go_both_ways_and_ends_that_come_back_are_connected_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("uart.sock");
+        let listener = TcpListener::bind(("127.0.0.1", 0)).unwrap();
+        let address = listener.local_addr().unwrap();
+        let uart = UnixListener::bind(&path).unwrap();
+        let _bridge = Bridge::start(vec![[End::Listener(listener), End::Socket(path.clone())]], None).unwrap();
+        let (mut emulator, _) = uart.accept().unwrap();
+        let mut caller = TcpStream::connect(address).unwrap();
+        exchange(&mut caller, &mut emulator, b"first");
+        drop(emulator);
+        let (mut emulator, _) = uart.accept().unwrap();
+        exchange(&mut caller, &mut emulator, b"another emulator");
+        drop(caller);
+        let mut caller = TcpStream::connect(address).unwrap();
+        exchange(&mut caller, &mut emulator, b"another caller");
+    }
+}
