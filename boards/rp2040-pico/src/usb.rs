@@ -3,7 +3,7 @@
 //! - **Walk:** host → packets of up to 64 bytes → [`Wire::drain`]; [`Wire::send`] → packets → host.
 //! - **Invariants:** bytes are never lost: a packet is taken from the hardware only to be handed over whole, and the hardware refuses the
 //!   host's next one meanwhile. So the stream needs no check, `[FRM-04]`.
-//! - **Context:** the routing task, and `USBCTRL_IRQ` at the same priority, which does no more than wake it.
+//! - **Context:** the routing task and `USBCTRL_IRQ` at the same priority.
 
 use core::mem::MaybeUninit;
 use core::ptr::addr_of_mut;
@@ -38,7 +38,10 @@ pub struct UsbWire {
     left: core::ops::Range<usize>,
     /// The last packet was a full one, so the host waits for what ends the transfer.
     full: bool,
-    /// The bus has something to say, and its interrupt is off until it was heard.
+    /// A packet that came, and how much of it.
+    packet: [u8; PACKET_BYTES as usize],
+    came: usize,
+    /// The bus had something to say since routing looked last.
     asked: bool,
 }
 
@@ -71,14 +74,21 @@ impl UsbWire {
             .expect("64 is a packet size")
             .device_class(USB_CLASS_CDC)
             .build();
-        Self { device, class, frame: [0; FRAME_BYTES], left: 0..0, full: false, asked: false }
+        Self { device, class, frame: [0; FRAME_BYTES], left: 0..0, full: false, packet: [0; _], came: 0, asked: false }
     }
 
-    /// The bus has something to say: leaves it to routing. In its interrupt, which stays away until [`Wire::drain`] has attended to it:
-    /// the hardware goes on asking as long as a packet waits to be read, so that whoever only looks is asked for ever.
+    /// Does what the bus asks for. In its interrupt, at once, as a host does not wait long between two questions. What it sends is put by
+    /// for routing. As long as there is no room for more the interrupt stays away: the hardware goes on asking while a packet waits to
+    /// be read, so that whoever only looks is asked for ever.
     pub fn poll(&mut self) {
-        NVIC::mask(pac::Interrupt::USBCTRL_IRQ);
+        self.device.poll(&mut [&mut self.class]);
+        if self.came > 0 {
+            NVIC::mask(pac::Interrupt::USBCTRL_IRQ);
+        } else {
+            self.came = self.class.read_packet(&mut self.packet).unwrap_or(0);
+        }
         self.asked = true;
+        self.go_on();
     }
 
     /// Gives the hardware the frame's next packet where it takes one.
@@ -103,12 +113,14 @@ impl Wire for UsbWire {
         if !core::mem::take(&mut self.asked) {
             return;
         }
-        self.device.poll(&mut [&mut self.class]);
-        let mut packet = [0; PACKET_BYTES as usize];
-        while let Ok(len) = self.class.read_packet(&mut packet) {
-            packet[..len].split_inclusive(|byte| *byte == DELIMITER).for_each(|run| take(run, now));
+        loop {
+            let came = core::mem::take(&mut self.came);
+            self.packet[..came].split_inclusive(|byte| *byte == DELIMITER).for_each(|run| take(run, now));
+            self.came = self.class.read_packet(&mut self.packet).unwrap_or(0);
+            if self.came == 0 {
+                break;
+            }
         }
-        self.go_on();
         // SAFETY: no lock counts on this interrupt to be off, since routing, which runs this, is of the same priority
         unsafe { NVIC::unmask(pac::Interrupt::USBCTRL_IRQ) };
     }
