@@ -525,6 +525,18 @@ pub struct TimeControl {
     pub tier: u8,
 }
 
+impl TimeControl {
+    /// As [`encode`], which is generic and so compiled where it is used: clocks are compared by this answer, and it is to be made at the
+    /// speed that this crate is compiled for.
+    ///
+    /// # Errors
+    /// [`Refusal::TooLong`] where it does not fit.
+    #[inline(never)]
+    pub fn encode(&self, out: &mut [u8]) -> Result<usize, Refusal> {
+        encode(Query::TimeControl.key(), self, out)
+    }
+}
+
 /// Body of [`Query::SetTimeControl`]: the parameters that may be tuned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TimeSettings {

@@ -437,28 +437,14 @@ impl<const N: usize> Deframer<N> {
     }
 
     fn unstuff(&mut self, run: &[u8]) {
-        // places are walked and not counted: a Cortex-M0+ has few registers, and an index takes three of them
-        let (mut left, mut zero_due) = (self.left, self.zero_due);
-        let mut places = self.buffer.get_mut(self.len..).unwrap_or_default().iter_mut();
-        for byte in run {
-            let data = if left > 0 {
-                left -= 1;
-                *byte
-            } else {
-                left = byte.saturating_sub(1);
-                if !core::mem::replace(&mut zero_due, usize::from(*byte) != RUN_MAX) {
-                    continue;
-                }
-                0
-            };
-            match places.next() {
-                Some(place) => *place = data,
-                None => self.overflown = true,
+        let places = self.buffer.get_mut(self.len..).unwrap_or_default();
+        match unstuff(run, places, &mut self.left, &mut self.zero_due) {
+            Some(len) => self.len += len,
+            None => {
+                self.len = N;
+                self.overflown = true;
             }
         }
-        self.len = N - places.len();
-        self.left = left;
-        self.zero_due = zero_due;
     }
 
     /// Digests what cannot be part of the check at the frame's end.
@@ -489,6 +475,33 @@ impl<const N: usize> Deframer<N> {
             Err(FrameError::Check { computed, found })
         }
     }
+}
+
+/// Unstuffs `run` into `places` and says how many of them that took, or `None` where they did not suffice. Apart from [`Deframer`], so
+/// that there is one of it for all lengths.
+fn unstuff(run: &[u8], places: &mut [u8], run_left: &mut u8, is_zero_due: &mut bool) -> Option<usize> {
+    // places are walked and not counted: a Cortex-M0+ has few registers, and an index takes three of them
+    let (mut left, mut zero_due, mut overflown) = (*run_left, *is_zero_due, false);
+    let room = places.len();
+    let mut places = places.iter_mut();
+    for byte in run {
+        let data = if left > 0 {
+            left -= 1;
+            *byte
+        } else {
+            left = byte.saturating_sub(1);
+            if !core::mem::replace(&mut zero_due, usize::from(*byte) != RUN_MAX) {
+                continue;
+            }
+            0
+        };
+        match places.next() {
+            Some(place) => *place = data,
+            None => overflown = true,
+        }
+    }
+    (*run_left, *is_zero_due) = (left, zero_due);
+    if overflown { None } else { Some(room - places.len()) }
 }
 
 /// The check that stands in a frame, low byte first.

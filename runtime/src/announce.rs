@@ -18,6 +18,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
     Node<SLOTS, BYTES, GATEWAYS, PORTS>
 {
     /// Writes an announcement into `out`, `[SYS-03]`; `None`, tried again later, where it does not fit.
+    #[cold]
     pub(crate) fn announce(&mut self, index: GatewayIndex, now: LocalTicks, out: &mut [u8]) -> Option<Outgoing> {
         let gateway = self.gateways.get_mut(index.at())?;
         let (step, drop, to, next) = match gateway.config.kind {
@@ -46,6 +47,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
     }
 
     /// Takes a neighbour's announcement; `theirs` is its own gateway index, which stood in the step it used, `[SYS-04]`.
+    #[cold]
     pub(crate) fn hear_announcement(
         &mut self,
         arrival: Arrival,

@@ -154,7 +154,7 @@ impl<const SLOTS: usize, const BYTES: usize> Desk<'_, SLOTS, BYTES> {
             }
             Query::TimeControl => {
                 body.read::<()>()?;
-                encode(key, &self.clock.control(self.now), out)
+                self.clock.control(self.now).encode(out)
             }
             Query::SetTimeControl => {
                 self.clock.set(body.read::<TimeSettings>()?)?;
@@ -196,6 +196,7 @@ impl<const SLOTS: usize, const BYTES: usize> Desk<'_, SLOTS, BYTES> {
         }
     }
 
+    #[cold]
     fn rename(&mut self, name: Name) {
         if *self.name != name {
             *self.name = name;
@@ -205,6 +206,7 @@ impl<const SLOTS: usize, const BYTES: usize> Desk<'_, SLOTS, BYTES> {
     }
 
     /// A page of as many counters as fit, `[DSC-06]`.
+    #[inline(never)]
     fn encode_counter_page(&self, first: u8, out: &mut [u8]) -> Result<usize, Refusal> {
         let mut page = self.counters.page(first);
         loop {
@@ -216,6 +218,7 @@ impl<const SLOTS: usize, const BYTES: usize> Desk<'_, SLOTS, BYTES> {
     }
 
     /// A page of as many events as fit, `[DSC-06]`.
+    #[inline(never)]
     fn encode_debug_page(&self, cursor: u32, out: &mut [u8]) -> Result<usize, Refusal> {
         let mut page = self.debug.page(cursor);
         loop {

@@ -201,11 +201,17 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
     }
 
     /// Says whether a gateway can carry packets. Packets that wait for one that closed are dropped, `gateway-closed`.
+    #[inline]
     pub fn set_open(&mut self, index: GatewayIndex, open: bool, now: LocalTicks) {
-        let Some(gateway) = self.gateways.get_mut(index.at()) else { return };
-        if gateway.open == open {
-            return;
+        if self.gateways.get(index.at()).is_some_and(|gateway| gateway.open != open) {
+            self.change_open(index, open, now);
         }
+    }
+
+    // links say whether they are open each time they are looked at, and seldom something new
+    #[cold]
+    fn change_open(&mut self, index: GatewayIndex, open: bool, now: LocalTicks) {
+        let Some(gateway) = self.gateways.get_mut(index.at()) else { return };
         gateway.open = open;
         gateway.announce_at = open.then_some(now);
         self.debug.record(Verbosity::Events, now, || Event::Gateway { gateway: index.get(), open });
@@ -219,6 +225,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
     }
 
     /// Counts a drop that happened outside the node: a frame that failed its check, a ring that ran over.
+    #[cold]
     pub fn count(&mut self, cause: DropCause, gateway: Option<GatewayIndex>, now: LocalTicks) {
         self.counters.add(cause);
         if let Some(gateway) = gateway.and_then(|index| self.gateways.get_mut(index.at())) {
@@ -239,6 +246,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
     }
 
     /// Takes leave of neighbours not heard of for too long, and notes when the next one may be.
+    #[cold]
     fn notice_silence(&mut self, now: LocalTicks) {
         for index in self.gateway_indices() {
             let silent = self.gateways[index.at()]
@@ -291,13 +299,19 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
             self.change_hold(tag.owner, 1);
             return Ok(id);
         }
+        self.displace(tag, held < limit, now)
+    }
+
+    /// Finds a slot for `tag` by dropping a later packet: of the same owner, or of anybody where the owner is `within_hold`.
+    #[cold]
+    fn displace(&mut self, tag: Tag, within_hold: bool, now: LocalTicks) -> Result<SlotId, DropCause> {
         // an owner within its hold may not be kept out by others' later packets, where the holds together are more than the pool
         let mut giving_way = self.stack.take_latest_of(&mut self.pool, Some(tag.owner), tag.deadline);
-        if giving_way.is_none() && held < limit {
+        if giving_way.is_none() && within_hold {
             giving_way = self.stack.take_latest_of(&mut self.pool, None, tag.deadline);
         }
         let Some(id) = giving_way else {
-            return Err(if held < limit { DropCause::PoolFull } else { DropCause::HoldFull });
+            return Err(if within_hold { DropCause::PoolFull } else { DropCause::HoldFull });
         };
         self.leave_stack(&id);
         self.discard(id, DropCause::Displaced, now);
@@ -341,6 +355,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
     }
 
     /// Drops a packet that has a slot.
+    #[cold]
     pub(crate) fn discard(&mut self, id: SlotId, cause: DropCause, now: LocalTicks) {
         let gateway = match self.pool.tag(&id).owner {
             Owner::Gateway(index) => Some(index),

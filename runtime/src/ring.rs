@@ -6,6 +6,8 @@
 //!   counted; what there is of that frame ends as one that fails its check.
 //!   So it is for streams that carry a check: without one, a frame cut where a run ends would pass for a whole one.
 //! - **Context:** [`Capture`] in the interrupt, [`HandOver`] in the task below it; single producer, single consumer, no locks.
+//!   `heapless` has its halves learn the queue's length as they run, so a push divides by it whatever the length is: 12 cycles at the
+//!   most on the Cortex-M7s whose boards use this ring, as against hundreds on a Cortex-M0+, which should take its bytes by DMA.
 //! - **Clauses:** `[NOD-08]`, `[FRM-08]`.
 //!
 //! ```

@@ -28,6 +28,10 @@ pub const REPORT_WORDS: usize = 3 + TEXT_BYTES / 4;
 /// Says that a report stands here; any rare word will do.
 const MARK: u32 = 0x0511_5afe;
 
+/// In one line of a debug event.
+const WATCHDOG_TEXT: &str = "reset by watchdog: routing stood still";
+const _: () = assert!(WATCHDOG_TEXT.len() <= TEXT_BYTES_MAX);
+
 /// What happened before a reset, as text.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Report {
@@ -54,7 +58,7 @@ impl Report {
     #[must_use]
     pub fn watchdog() -> Self {
         let mut text = heapless::String::new();
-        let _fits = text.push_str("reset by the watchdog: routing stood still");
+        let _fits = text.push_str(WATCHDOG_TEXT);
         Self { text }
     }
 
