@@ -438,12 +438,11 @@ impl<const N: usize> Deframer<N> {
 
     fn unstuff(&mut self, run: &[u8]) {
         let places = self.buffer.get_mut(self.len..).unwrap_or_default();
-        match unstuff(run, places, &mut self.left, &mut self.zero_due) {
-            Some(len) => self.len += len,
-            None => {
-                self.len = N;
-                self.overflown = true;
-            }
+        if let Some(len) = unstuff(run, places, &mut self.left, &mut self.zero_due) {
+            self.len += len;
+        } else {
+            self.len = N;
+            self.overflown = true;
         }
     }
 
