@@ -130,7 +130,7 @@ impl NorFlash for SettingsFlash {
         // SAFETY: as `new` demands, and sectors of the settings alone
         unsafe {
             without_mapping(|| {
-                rom_data::flash_range_erase(OFFSET + from, (to - from) as usize, BLOCK_BYTES, BLOCK_ERASE)
+                rom_data::flash_range_erase(OFFSET + from, (to - from) as usize, BLOCK_BYTES, BLOCK_ERASE);
             });
         }
         Ok(())

@@ -13,6 +13,7 @@
 //!
 //! The kind's pins are read once at start-up: open is 0, tied to 3.3 V is 1; the number is an index into `firmware_app::kind::KINDS`.
 #![no_std]
+#![expect(clippy::cast_possible_truncation, reason = "addresses and lengths of a processor of 32 bits are `u32`")]
 
 pub mod clock;
 pub mod flash;
@@ -109,33 +110,32 @@ impl Board {
         let mut watchdog = hal::Watchdog::new(p.WATCHDOG);
         let clocks =
             init_clocks_and_plls(CRYSTAL_HZ, p.XOSC, p.CLOCKS, p.PLL_SYS, p.PLL_USB, &mut p.RESETS, &mut watchdog)
-                .ok()
-                .expect("the crystal starts");
+                .unwrap_or_else(|_| panic!("the crystal does not start"));
         let timer = clock::start(p.TIMER, &mut p.RESETS, &clocks);
         let unique_id = flash::unique_id();
         let sio = hal::Sio::new(p.SIO);
         let pins = hal::gpio::Pins::new(p.IO_BANK0, p.PADS_BANK0, sio.gpio_bank0, &mut p.RESETS);
-        let straps = [
+        let levels = [
             pins.gpio18.into_pull_down_input().is_high(),
             pins.gpio19.into_pull_down_input().is_high(),
             pins.gpio20.into_pull_down_input().is_high(),
         ];
-        let straps = straps.into_iter().rev().fold(0, |number, bit| number << 1 | u8::from(bit == Ok(true)));
+        let straps = levels.into_iter().rev().fold(0, |number, bit| (number << 1) | u8::from(bit == Ok(true)));
         let config = || UartConfig::new(UART_BAUD.Hz(), DataBits::Eight, None, StopBits::One);
-        let clock_hz = clocks.peripheral_clock.freq();
+        let rate_hz = clocks.peripheral_clock.freq();
         let uart0 =
             UartPeripheral::new(p.UART0, (pins.gpio0.into_function(), pins.gpio1.into_function()), &mut p.RESETS);
-        let mut uart0 = uart0.enable(config(), clock_hz).ok().expect("the rate can be divided");
+        let mut uart0 = uart0.enable(config(), rate_hz).unwrap_or_else(|_| panic!("the rate cannot be divided"));
         uart0.set_fifos(true);
         let uart1 =
             UartPeripheral::new(p.UART1, (pins.gpio4.into_function(), pins.gpio5.into_function()), &mut p.RESETS);
-        let mut uart1 = uart1.enable(config(), clock_hz).ok().expect("the rate can be divided");
+        let mut uart1 = uart1.enable(config(), rate_hz).unwrap_or_else(|_| panic!("the rate cannot be divided"));
         uart1.set_fifos(true);
-        let uarts = uart::start(&p.DMA, &mut p.RESETS);
+        let wires = uart::start(&p.DMA, &mut p.RESETS);
         let usb = with_usb
             .then(|| usb::UsbWire::new(p.USBCTRL_REGS, p.USBCTRL_DPRAM, clocks.usb_clock, &mut p.RESETS, &unique_id));
         let report = take_report().or_else(|| by_watchdog.then(Report::watchdog));
-        Self { uarts, usb, watchdog: Watchdog(watchdog), alarm: timer, unique_id, straps, report }
+        Self { uarts: wires, usb, watchdog: Watchdog(watchdog), alarm: timer, unique_id, straps, report }
     }
 }
 

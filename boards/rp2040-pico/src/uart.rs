@@ -31,7 +31,7 @@ const WAKE_BYTES: usize = 8;
 const BYTE_STEPS_Q8: u32 = ((10 * 256 * 256 * 1_000_000_u64) / UART_BAUD as u64) as u32;
 
 /// A ring cannot be lapped in less: all its bytes on end, less one for good measure.
-const LAP_MIN: Span = Span::from_steps((RING_BYTES as u64 - 1) * BYTE_STEPS_Q8 as u64 >> 8);
+const LAP_MIN: Span = Span::from_steps(((RING_BYTES as u64 - 1) * BYTE_STEPS_Q8 as u64) >> 8);
 /// Bytes that a UART's transmitter holds.
 const FIFO_BYTES: usize = 32;
 /// Permanent request: a transfer that waits for nothing.
@@ -182,6 +182,7 @@ pub fn receive() -> bool {
 }
 
 /// Looks at the bytes of one UART that have come since.
+#[expect(clippy::inline_always, reason = "twice in one interrupt that comes for every byte: a call is a tenth of it")]
 #[inline(always)]
 fn look<const NUMBER: usize>(pending: u32) -> bool {
     let channel = CHANNELS[NUMBER].bytes;
@@ -208,7 +209,7 @@ fn look<const NUMBER: usize>(pending: u32) -> bool {
 
 /// Lets a receiver interrupt or not. By the registers' aliases that set and clear bits (RP2040, 2.1.2), so that interrupt and routing do not
 /// undo each other's.
-#[inline(always)]
+#[inline]
 fn set_interrupt(number: usize, on: bool) {
     const SET: usize = 0x2000;
     const CLEAR: usize = 0x3000;
@@ -315,7 +316,7 @@ impl Wire for DmaUart {
             channel.ch_trans_count().write(|w| w.bits((len - head) as u32));
             channel.ch_ctrl_trig().write(|w| w.bits(control));
         }
-        self.sent_at = at + Span::from_steps(u64::from(len as u32 * BYTE_STEPS_Q8 >> 8));
+        self.sent_at = at + Span::from_steps(u64::from((len as u32 * BYTE_STEPS_Q8) >> 8));
     }
 }
 
