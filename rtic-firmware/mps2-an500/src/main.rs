@@ -16,8 +16,9 @@
 //! - **Context:** this file is the table; what a task does is in the board (interrupts) or in `firmware-app` (all else).
 //! - **Clauses:** `[NOD-06]`, `[NOD-08]`, `[NOD-12]`, `[DSC-05]`, `[DSC-06]`.
 //!
-//! QEMU has instructions and no cycles, so those of the tasks are counted on other chips. The feature `probe` adds an interrupt at
-//! priority 3 that counts how long it waited: see the board's `latency`. On a real AN500 a receive interrupt would have 6.4 µs, 160
+//! QEMU has instructions and no cycles, so those of the tasks are counted on other chips. `probe`, bound to DUALTIMER, counts how long an
+//! interrupt at priority 3 waits, every 0.4 ms: see the board's `latency`. It is one of the default features, as this image is for an
+//! emulator; for a board it would be left out. On a real AN500 a receive interrupt would have 6.4 µs, 160
 //! cycles, for a byte at 1.5625 Mbaud on each of five UARTs.
 #![no_std]
 #![no_main]

@@ -11,6 +11,7 @@ use crate::images::{Image, Places};
 use crate::pico::{HEATER, HUB, MOTOR, pico};
 use crate::qemu::{Identity, Qemu, QemuError};
 use crate::report::Failure;
+use osap::session::{OpenOptions, Session};
 use std::net::{SocketAddr, TcpListener};
 use std::path::PathBuf;
 use tempfile::TempDir;
@@ -146,6 +147,63 @@ impl Machine {
             Part::Motor => self.motor.kill(),
             Part::Heater => self.bridge.order(Order::PowerOff(CHIP.to_owned())),
         }
+    }
+}
+
+/// The hub and the motor alone, the hub's time counted in instructions: what is counted in the hub can be read from its memory.
+#[derive(Debug)]
+pub struct CountedHub {
+    hub: Qemu,
+    _motor: Qemu,
+    _bridge: Bridge,
+    address: SocketAddr,
+    /// Last, so that the files outlive the processes.
+    _folder: TempDir,
+}
+
+impl CountedHub {
+    /// Switches both on.
+    ///
+    /// # Errors
+    /// [`Failure::NotRun`] where something is missing.
+    pub fn start(places: &Places) -> Result<Self, Failure> {
+        let elf = places.image(Image::Mps2An500)?;
+        crate::qemu::version()?;
+        let folder = tempfile::tempdir()?;
+        let device = |name: &str, unique_id: &[u8; 12], kind, icount| {
+            let identity = Identity { name: name.to_owned(), unique_id: *unique_id, kind };
+            Qemu::new(identity, &elf, folder.path(), icount)
+        };
+        let mut hub = device("hub", b"mps2hub\0\0\0\0\x01", HUB, true)?;
+        let mut motor = device("motor", b"mps2mot\0\0\0\0\x02", MOTOR, false)?;
+        let listener = TcpListener::bind(("127.0.0.1", 0))?;
+        let address = listener.local_addr()?;
+        let wires = vec![
+            [End::Listener(listener), End::Socket(hub.serial(0))],
+            [End::Socket(hub.serial(1)), End::Socket(motor.serial(0))],
+        ];
+        let bridge = Bridge::start(wires, None)?;
+        hub.start()?;
+        motor.start()?;
+        Ok(Self { hub, _motor: motor, _bridge: bridge, address, _folder: folder })
+    }
+
+    /// A session at the hub's first UART.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn session(&self) -> Result<Session, Failure> {
+        let spec = format!("tcp:{},check=crc16", self.address);
+        let spec = spec.parse().map_err(|error| Failure::Failed(format!("{spec}: {error}")))?;
+        Session::open(&[spec], &OpenOptions::default()).map_err(|error| Failure::Failed(error.to_string()))
+    }
+
+    /// Reads the hub's non-volatile memory, which it goes on writing to.
+    ///
+    /// # Errors
+    /// Where the file cannot be read.
+    pub fn hub_memory(&self, offset: u64, len: usize) -> std::io::Result<Vec<u8>> {
+        self.hub.read_memory(offset, len)
     }
 }
 

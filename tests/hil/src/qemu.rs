@@ -60,8 +60,8 @@ pub struct Qemu {
 }
 
 impl Qemu {
-    /// A device that is switched off. Its sockets and memory stand in `folder`. With `icount` time is counted in instructions: the same run
-    /// each time, as long as nothing comes from outside.
+    /// A device that is switched off. Its sockets and memory stand in `folder`. With `icount` its time is that of its instructions, 4 ns each,
+    /// while it does something, and the computer's while it sleeps.
     ///
     /// # Errors
     /// [`QemuError::Memory`].
@@ -139,7 +139,7 @@ impl Qemu {
         command.args(["-display", "none", "-monitor", "none", "-object", &backend]);
         command.args(["-machine", &format!("{MACHINE},memory-backend=nvm"), "-kernel"]).arg(&self.elf);
         if self.icount {
-            command.args(["-icount", "shift=5,sleep=off"]);
+            command.args(["-icount", "shift=2"]);
         }
         for number in 0..UARTS {
             let serial = self.serial(number);

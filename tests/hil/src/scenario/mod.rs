@@ -5,6 +5,7 @@
 
 mod cycles;
 mod preemption;
+mod preemption_m7;
 mod round_trip;
 mod rta;
 mod scan;

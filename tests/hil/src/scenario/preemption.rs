@@ -2,7 +2,8 @@
 //!
 //! - **Walk:** a request to the hub's spin port; meanwhile a stream of the device behind it and pings to that device pass through the hub
 //!   → forwarding latencies from the wires' stamps, waits of bytes and interrupts from the processor's profile.
-//! - **Invariants:** a packet is found again by its bytes behind the route. Virtual time.
+//! - **Invariants:** a packet is found again by its bytes behind the route. Virtual time. The Cortex-M7's part, by counting, is in
+//!   `preemption_m7`.
 //! - **Clauses:** `[APP-10]`, `[NOD-08]`.
 
 use super::Context;
@@ -82,8 +83,11 @@ pub(super) fn run(context: &Context) -> Result<Report, Failure> {
             us(worst_without)
         ),
     );
-    report
-        .not_run("the same on the Cortex-M7", "its image is built without the feature `probe`, and QEMU has no cycles");
+    match super::preemption_m7::run(context) {
+        Ok(counted) => report.add(counted),
+        Err(Failure::NotRun(why)) => report.not_run("the same on a Cortex-M7, by counting", why),
+        Err(failed @ Failure::Failed(_)) => return Err(failed),
+    }
     Ok(report)
 }
 
