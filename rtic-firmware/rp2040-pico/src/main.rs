@@ -2,12 +2,12 @@
 //!
 //! | task        | bound to    | priority | every µs | deadline µs | shares      | worst cycles (measured) | lock cycles |
 //! |-------------|-------------|----------|----------|-------------|-------------|-------------------------|-------------|
-//! | receive     | DMA_IRQ_0   | 3        | 300      | 1,706       | -           | 17,280                  | -           |
-//! | transmitted | DMA_IRQ_1   | 2        | 435      | -           | -           | 63                      | -           |
-//! | wake        | TIMER_IRQ_0 | 2        | 300      | -           | -           | 66                      | -           |
-//! | usb         | USBCTRL_IRQ | 2        | 1,000    | -           | links       | 3,557                   | -           |
-//! | route       | SW0_IRQ     | 2        | 435      | 853         | node, links | 39,000                  | -           |
-//! | serve       | SW1_IRQ     | 1        | -        | -           | node        | -                       | 420         |
+//! | receive     | `DMA_IRQ_0` | 3        | 300      | 1,706       | -           | 17,280                  | -           |
+//! | transmitted | `DMA_IRQ_1` | 2        | 435      | -           | -           | 63                      | -           |
+//! | wake        | `TIMER_IRQ_0` | 2        | 300      | -           | -           | 66                      | -           |
+//! | usb         | `USBCTRL_IRQ` | 2        | 1,000    | -           | links       | 3,557                   | -           |
+//! | route       | `SW0_IRQ`   | 2        | 435      | 853         | node, links | 39,000                  | -           |
+//! | serve       | `SW1_IRQ`   | 1        | -        | -           | node        | -                       | 420         |
 //! | idle        | -           | 0        | -        | -           | node        | -                       | 420         |
 //!
 //! Priority 4 is kept for interpolation. Bytes and their stamps are moved by DMA, so that no priority is urgent for them. The node is held by
