@@ -1,24 +1,25 @@
 //! A Raspberry Pi Pico in the network: two UART links and USB, an RP2040 at 125 MHz, all code in RAM.
 //!
-//! | task        | bound to    | priority | every µs | deadline µs | shares      | worst cycles (measured) | lock cycles |
-//! |-------------|-------------|----------|----------|-------------|-------------|-------------------------|-------------|
-//! | receive     | `DMA_IRQ_0` | 3        | 300      | 1,706       | -           | 17,280                  | -           |
-//! | transmitted | `DMA_IRQ_1` | 2        | 435      | -           | -           | 63                      | -           |
-//! | wake        | `TIMER_IRQ_0` | 2        | 300      | -           | -           | 66                      | -           |
-//! | usb         | `USBCTRL_IRQ` | 2        | 1,000    | -           | links       | 3,557                   | -           |
-//! | route       | `SW0_IRQ`   | 2        | 435      | 853         | node, links | 39,000                  | -           |
-//! | serve       | `SW1_IRQ`   | 1        | -        | -           | node        | -                       | 420         |
-//! | idle        | -           | 0        | -        | -           | node        | -                       | 420         |
+//! | task        | bound to      | priority | every µs | deadline µs | shares      | worst cycles (measured) | lock cycles |
+//! |-------------|---------------|----------|----------|-------------|-------------|-------------------------|-------------|
+//! | receive     | `DMA_IRQ_0`   | 3        | 300      | 1,706       | -           | 4,320                   | -           |
+//! | transmitted | `DMA_IRQ_1`   | 2        | 435      | -           | -           | 55                      | -           |
+//! | wake        | `TIMER_IRQ_0` | 2        | 300      | -           | -           | 60                      | -           |
+//! | usb         | `USBCTRL_IRQ` | 2        | 1,000    | -           | links       | 1,020                   | -           |
+//! | route       | `SW0_IRQ`     | 2        | 435      | 853         | node, links | 39,000                  | -           |
+//! | serve       | `SW1_IRQ`     | 1        | -        | -           | node        | -                       | 420         |
+//! | idle        | -             | 0        | -        | -           | node        | -                       | 420         |
 //!
 //! Priority 4 is kept for interpolation. Bytes and their stamps are moved by DMA, so that no priority is urgent for them. The node is held by
 //! `serve` for single calls; a service works without it.
 //!
-//! `cargo xtask hil cycles` measures, `cargo xtask hil rta` calculates response times from this table. Both UARTs at full load: `receive` is
-//! counted as a burst, 48 interrupts of 180 cycles for each UART, after which it is silent until `route` has drained it; there are two bursts
-//! in a turn of `route` at most. A turn of `route` takes in all that came, so its worst is that of many frames. A ring holds 1,706 µs of bytes,
-//! and two turns may lie between a byte and its drain: each has half of that. A lock is no longer than
-//! `route` was ever seen to be pending. Where `transmitted` is late a wire idles, where `usb` is the
-//! host waits, and `serve` has what is left; they have no deadline.
+//! `cargo xtask hil cycles` measures, `cargo xtask hil rta` calculates response times from this table; the cycles are the most seen, and a
+//! tenth more. Both UARTs at full load: `receive` is counted as a burst, for each UART 8 interrupts until routing is woken, one a byte, and one
+//! more for a byte that came while its interrupt was off, 240 cycles each. Then the UART is silent until a turn of `route` has drained it, once a
+//! turn: in the response time of `route` (its own turn, one before it, and what was left of an earlier burst) lie three bursts at most, which
+//! is what `every` comes to. A turn of `route` takes in all that came, so its worst is that of many frames. A ring holds 1,706 µs of bytes, and
+//! two turns may lie between a byte and its drain: each has half of that. A lock is no longer than `route` was ever seen to be pending. Where
+//! `transmitted` is late a wire idles, where `usb` is the host waits, and `serve` has what is left; they have no deadline.
 #![no_std]
 #![no_main]
 
