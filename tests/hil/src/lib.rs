@@ -10,6 +10,7 @@
 pub mod account;
 pub mod bridge;
 pub mod cosim;
+pub mod gdb;
 pub mod images;
 pub mod machine;
 pub mod network;

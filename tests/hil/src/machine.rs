@@ -7,6 +7,7 @@
 
 use crate::bridge::{Bridge, End, Order};
 use crate::cosim::Cosim;
+use crate::gdb::Debugger;
 use crate::images::{Image, Places};
 use crate::pico::{HEATER, HUB, MOTOR, pico};
 use crate::qemu::{Identity, Qemu, QemuError};
@@ -196,6 +197,14 @@ impl CountedHub {
         let spec = format!("tcp:{},check=crc16", self.address);
         let spec = spec.parse().map_err(|error| Failure::Failed(format!("{spec}: {error}")))?;
         Session::open(&[spec], &OpenOptions::default()).map_err(|error| Failure::Failed(error.to_string()))
+    }
+
+    /// Stops the hub, to have its memory read and overwritten.
+    ///
+    /// # Errors
+    /// Where its debug stub does not listen.
+    pub fn debug_hub(&self) -> std::io::Result<Debugger> {
+        Debugger::attach(&self.hub.debug_stub())
     }
 
     /// Reads the hub's non-volatile memory, which it goes on writing to.

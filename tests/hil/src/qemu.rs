@@ -106,6 +106,12 @@ impl Qemu {
         self.folder.join(format!("{}{number}.sock", self.identity.name))
     }
 
+    /// The unix socket of its debug stub; it listens while the device runs.
+    #[must_use]
+    pub fn debug_stub(&self) -> PathBuf {
+        self.folder.join(format!("{}-gdb.sock", self.identity.name))
+    }
+
     /// Who it is.
     #[must_use]
     pub const fn identity(&self) -> &Identity {
@@ -141,6 +147,7 @@ impl Qemu {
         if self.icount {
             command.args(["-icount", "shift=2"]);
         }
+        command.args(["-gdb", &format!("unix:{},server=on,wait=off", self.debug_stub().display())]);
         for number in 0..UARTS {
             let serial = self.serial(number);
             command.args(["-serial", &format!("unix:{},server=on,wait=off", serial.display())]);

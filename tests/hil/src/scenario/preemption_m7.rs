@@ -37,9 +37,9 @@ const TRIAL_TURNS: u32 = 100_000;
 /// Most turns that the spin port takes, `[APP-11]`.
 const TURNS_MAX: u32 = 10_000_000;
 /// Questions until a device that was just started must have answered.
-const TRIES: usize = 40;
+pub(super) const TRIES: usize = 40;
 /// Pause after one that was not answered.
-const RETRY: Span = Span::from_us(50_000);
+pub(super) const RETRY: Span = Span::from_us(50_000);
 /// Spins that are tried until a ping got through during one.
 const ATTEMPTS_MAX: u32 = 3;
 /// Frames that the hub sends for a ping through it: there and back.
@@ -52,12 +52,15 @@ const FRAME_BYTES: u32 = 32;
 /// Instructions of the interrupts for a byte in and for a byte out: all that stand there, RTIC's entry and `now` among them, are 189 and 101,
 /// and none is a loop but the counting by exclusive access.
 const BYTE_INSTRUCTIONS: [u32; 2] = [200, 110];
+/// The hub's.
+const LINKS: u32 = 5;
+const _: () = assert!(UARTS == 5, "as many");
 /// Instructions in a tick: 4 ns each.
 const TICK_INSTRUCTIONS: u32 = 10;
 /// What an interrupt of the links may wait: that all UARTs take in and send a frame on end, with one interrupt more for each. Nothing in it
 /// depends on how long a user function takes.
 const WAIT_TICKS_MAX: u32 =
-    UARTS as u32 * (FRAME_BYTES + 1) * (BYTE_INSTRUCTIONS[0] + BYTE_INSTRUCTIONS[1]) / TICK_INSTRUCTIONS;
+    LINKS * (FRAME_BYTES + 1) * (BYTE_INSTRUCTIONS[0] + BYTE_INSTRUCTIONS[1]) / TICK_INSTRUCTIONS;
 
 /// What the hub's probe counted; the table in `boards/mps2-an500/src/latency.rs`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -160,7 +163,7 @@ fn record(machine: &CountedHub) -> Result<Record, Failure> {
 }
 
 /// Asks until a device that was just started answers.
-fn await_answer(session: &mut Session, to: &Destination) -> Result<(), Failure> {
+pub(super) fn await_answer(session: &mut Session, to: &Destination) -> Result<(), Failure> {
     for _ in 0..TRIES {
         if session.runtime_info(to).is_ok() {
             return Ok(());
