@@ -3,7 +3,7 @@
 //! - **Walk:** [`Debugger::attach`], which stops the device → [`Debugger::read_word`], [`Debugger::write`] → [`Debugger::detach`], which lets
 //!   it run on.
 //! - **Invariants:** every packet has a sum and is acknowledged. Nothing else is attached at the same time.
-//! - **Context:** real time; a device that answers nothing within [`PATIENCE`] is an error.
+//! - **Context:** real time; a device that answers nothing within ten seconds is an error.
 
 use std::fmt::Write as _;
 use std::io::{self, ErrorKind, Read, Write};
