@@ -28,7 +28,7 @@
 //! ```
 
 use core::ops::Add;
-use fixed::types::U56F8;
+use fixed::types::{I0F32, U56F8};
 
 /// Fractional bits of every time in this crate.
 pub const FRACTION_BITS: u32 = 8;
@@ -93,7 +93,7 @@ impl Add for Span {
     }
 }
 
-/// An instant kind: `LocalTicks` and `NetTime` have the same arithmetic and stay two types.
+/// An instant kind: `LocalTicks`, `PeerTicks` and `NetTime` have the same arithmetic and stay three types.
 macro_rules! instant {
     ($(#[$doc:meta])* $name:ident) => {
         $(#[$doc])*
@@ -135,6 +135,25 @@ macro_rules! instant {
             pub const fn since(self, earlier: Self) -> Span {
                 Span(self.0.saturating_sub(earlier.0))
             }
+
+            /// `self − other` in steps, whichever is the later; what does not fit saturates.
+            #[must_use]
+            pub const fn steps_after(self, other: Self) -> i64 {
+                let (this, that) = (self.steps(), other.steps());
+                if this >= that {
+                    if this - that > i64::MAX as u64 { i64::MAX } else { (this - that).cast_signed() }
+                } else if that - this > i64::MAX as u64 {
+                    i64::MIN
+                } else {
+                    -(that - this).cast_signed()
+                }
+            }
+
+            /// The instant `steps` later, or earlier where they are negative; saturates at the origin and at the last instant.
+            #[must_use]
+            pub const fn shifted(self, steps: i64) -> Self {
+                Self::from_steps(self.steps().saturating_add_signed(steps))
+            }
         }
 
         impl Add<Span> for $name {
@@ -151,8 +170,90 @@ instant! {
     LocalTicks
 }
 instant! {
+    /// A reading of a neighbour's own free-running counter, as it came in a message.
+    PeerTicks
+}
+instant! {
     /// System time: what the network agreed on, since the root's epoch.
     NetTime
+}
+
+/// How much faster one time runs than another: 2^−32 a step (0.23 parts in 10⁹), within ±½.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Rate(I0F32);
+
+impl Rate {
+    /// As fast.
+    pub const ZERO: Self = Self(I0F32::ZERO);
+
+    /// `bits` in 2^−32.
+    #[must_use]
+    pub const fn from_bits(bits: i32) -> Self {
+        Self(I0F32::from_bits(bits))
+    }
+
+    /// In 2^−32.
+    #[must_use]
+    pub const fn bits(self) -> i32 {
+        self.0.to_bits()
+    }
+
+    /// Parts per 10⁹, rounded down; past ±½ it saturates.
+    #[must_use]
+    pub const fn from_ppb(ppb: i32) -> Self {
+        // 2^32 / 10^9, in 2^−28
+        const FACTOR_Q28: i64 = (1 << 60) / 1_000_000_000;
+        let bits = (ppb as i64 * FACTOR_Q28) >> 28;
+        Self::saturated(bits)
+    }
+
+    /// Parts per 10⁹, rounded down.
+    #[must_use]
+    pub const fn ppb(self) -> i32 {
+        ((self.bits() as i64 * 1_000_000_000) >> 32) as i32
+    }
+
+    /// `bits` in 2^−32, cut to what there is.
+    #[must_use]
+    #[expect(clippy::cast_possible_truncation, reason = "cut to 32 bits before")]
+    pub const fn saturated(bits: i64) -> Self {
+        let cut = if bits > i32::MAX as i64 {
+            i32::MAX
+        } else if bits < i32::MIN as i64 {
+            i32::MIN
+        } else {
+            bits as i32
+        };
+        Self::from_bits(cut)
+    }
+
+    /// The sum, saturating: rates are small, so that the product of two is left out.
+    #[must_use]
+    pub const fn plus(self, other: Self) -> Self {
+        Self::saturated(self.bits() as i64 + other.bits() as i64)
+    }
+
+    /// No faster and no slower than `limit` says, which is not negative.
+    #[must_use]
+    pub const fn within(self, limit: Self) -> Self {
+        let (bits, limit) = (self.bits(), limit.bits());
+        if bits > limit {
+            Self::from_bits(limit)
+        } else if bits < -limit {
+            Self::from_bits(-limit)
+        } else {
+            self
+        }
+    }
+
+    /// What a rate adds in `steps`, rounded down; saturates.
+    #[must_use]
+    pub const fn over(self, steps: i64) -> i64 {
+        let rate = self.bits() as i64;
+        // in two parts, so that no product is longer than 64 bits
+        let (high, low) = (steps >> 31, steps & 0x7fff_ffff);
+        (high * rate).saturating_add((low * rate) >> 31) >> 1
+    }
 }
 
 /// Microseconds to steps of 1/256 µs, ending at the largest instead of wrapping.
@@ -183,7 +284,41 @@ mod tests {
         assert_eq!(Span::from_steps(256).as_us_ceil(), 1);
     }
 
+    /// Fifty parts in a million are 12,800 steps a second, forwards and backwards, and a year is no overflow.
+    #[test]
+    fn a_rate_adds_its_part() {
+        let fifty = Rate::from_ppb(50_000);
+        assert_eq!(fifty.ppb(), 49_999); // rounded down twice: 0.23 ppb a step
+        let second = 256_000_000;
+        assert!((12_799..=12_800).contains(&fifty.over(second)), "{}", fifty.over(second));
+        assert!((-12_801..=-12_799).contains(&fifty.over(-second)), "{}", fifty.over(-second));
+        let year = second * 31_557_600;
+        let expected = i64::try_from((i128::from(year) * i128::from(fifty.bits())) >> 32).unwrap();
+        assert!(fifty.over(year).abs_diff(expected) <= 1);
+        assert_eq!(Rate::from_ppb(i32::MAX), Rate::from_bits(i32::MAX));
+        assert_eq!(Rate::from_ppb(-40).within(Rate::from_ppb(10)), Rate::from_bits(-Rate::from_ppb(10).bits()));
+    }
+
     proptest! {
+        /// A rate's part is the exact product, rounded down, but for one step.
+        #[test]
+        fn a_rates_part_is_the_product(bits in any::<i32>(), steps in -(1i64 << 62)..1 << 62) {
+            let exact = (i128::from(bits) * i128::from(steps)) >> 32;
+            let exact = i64::try_from(exact).unwrap();
+            prop_assert!(Rate::from_bits(bits).over(steps).abs_diff(exact) <= 1);
+        }
+
+        /// A difference in steps, added again, comes back to where it began.
+        #[test]
+        fn a_difference_leads_back(from in any::<u64>(), to in any::<u64>()) {
+            let (from, to) = (PeerTicks::from_steps(from), PeerTicks::from_steps(to));
+            let between = to.steps_after(from);
+            if between != i64::MAX && between != i64::MIN {
+                prop_assert_eq!(from.shifted(between), to);
+            }
+            prop_assert_eq!(between >= 0, to >= from);
+        }
+
         /// Adding a span and asking for the time since gives the span back, unless it ran into the end.
         #[test]
         fn add_then_since_is_the_span(start in any::<u64>(), span in any::<u64>()) {
