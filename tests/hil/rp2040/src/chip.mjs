@@ -1,7 +1,8 @@
 // One RP2040: the package's model with its mends, our UARTs, DMA, watchdog, flash and boot ROM, run in virtual time.
-// A chip has a local clock that starts at 0 with each boot and goes `1 + ppm * 1e-6` times as fast as global time.
+// A chip has a local clock that starts at 0 with each boot and goes as its crystal does.
 import { RAM_BYTES, XIP } from './bus.mjs';
 import { ENTRY_CYCLES } from './core.mjs';
+import { Crystal } from './crystal.mjs';
 import { Flash, FLASH_BYTES } from './flash.mjs';
 import { Machine } from './machine.mjs';
 import { UartCounters } from './pl011.mjs';
@@ -30,7 +31,6 @@ export class Chip {
   constructor(options) {
     this.name = options.name;
     this.image = options.image;
-    this.rate = 1 + (options.ppm ?? 0) * 1e-6;
     this.straps = options.straps ?? {};
     this.onEvent = options.onEvent ?? (() => {});
     this.flash = new Flash(options.flashPath ?? null, options.uniqueId ?? '0000000000000000');
@@ -49,6 +49,7 @@ export class Chip {
     this.returned = false;
     /** Global time of the last boot, the local clock's 0. */
     this.bootNs = options.startNs ?? 0;
+    this.crystal = new Crystal(options.ppm ?? 0, this.bootNs);
     this.#load();
     this.machine = this.#build();
   }
@@ -71,6 +72,7 @@ export class Chip {
    */
   #boot(globalNs) {
     this.bootNs = globalNs;
+    this.crystal.restart(globalNs);
     this.halted = null;
     this.pendingReset = null;
     this.machine = this.#build();
@@ -144,12 +146,17 @@ export class Chip {
 
   /** @param {number} global nanoseconds */
   toLocal(global) {
-    return (global - this.bootNs) * this.rate;
+    return this.crystal.toLocal(global);
   }
 
   /** @param {number} local nanoseconds since the last boot */
   toGlobal(local) {
-    return local / this.rate + this.bootNs;
+    return this.crystal.toGlobal(local);
+  }
+
+  /** How much faster than global time its clock goes now. */
+  get rate() {
+    return 1 + this.crystal.ppmAt(this.now) * 1e-6;
   }
 
   /** Global time that the chip has reached. */

@@ -5,8 +5,9 @@ import { installBus, XIP } from './bus.mjs';
 import { VirtualClock } from './clock.mjs';
 import { Exceptions } from './core.mjs';
 import { Dma } from './dma.mjs';
-import { mendPwmCounters, mendResets, mendTimerAlarms, stopPio } from './mends.mjs';
+import { mendResets, mendTimerAlarms, stopPio } from './mends.mjs';
 import { Pl011 } from './pl011.mjs';
+import { Pwm } from './pwm.mjs';
 import { Ssi, XipControl } from './ssi.mjs';
 import { ChipReset, Watchdog } from './watchdog.mjs';
 
@@ -18,6 +19,7 @@ const WATCHDOG_PAGE = 0x40058;
 const CHIP_RESET_PAGE = 0x40064;
 const XIP_CTRL_PAGE = 0x14000;
 const DMA_PAGE = 0x50000;
+const PWM_PAGE = 0x40050;
 const PSM_WDSEL = 0x08;
 const UARTS = [
   { irq: 20, dreq: { tx: 20, rx: 21 }, page: 0x40034 },
@@ -58,6 +60,9 @@ export class Machine {
     this.dma = new Dma(rp);
     Object.assign(rp, { dma: this.dma });
     rp.peripherals[DMA_PAGE] = this.dma;
+    this.pwm = new Pwm(rp);
+    Object.assign(rp, { pwm: this.pwm });
+    rp.peripherals[PWM_PAGE] = this.pwm;
     this.exceptions = new Exceptions(rp, this.bus, parts.events);
     this.cpu = this.exceptions.cpu;
     this.uarts = UARTS.map(({ irq, dreq }, i) => new Pl011(rp, `UART${i}`, irq, dreq, parts.counters[i]));
@@ -70,8 +75,7 @@ export class Machine {
     rp.peripherals[XIP_CTRL_PAGE] = new XipControl(rp, 'XIP_CTRL');
     this.rom = new BootRom(rp, this.exceptions, parts.flash, this.ssi, parts.onUsbBoot);
     mendTimerAlarms(rp);
-    mendPwmCounters(rp);
-    mendResets(rp, this.uarts, this.dma);
+    mendResets(rp, this.uarts, this.dma, this.pwm);
     stopPio(rp, (message) => rp.logger.warn('PIO', message));
     for (const [pin, level] of Object.entries(parts.straps)) rp.gpio[Number(pin)].setInputValue(level);
     rp.addClockListener((hz) => (this.cycleNs = 1e9 / hz));

@@ -4,16 +4,11 @@
 
 const TIMER = 0x40054;
 const RESETS = 0x4000c;
-/** Within a PWM slice. */
-const PWM_CTR = 0x08;
-/** The package's number of the mode. */
-const COUNTING_UP = 0;
 const ALARM0 = 0x10;
 const ALARM3 = 0x1c;
 const RESET_DMA = 1 << 2;
 const RESET_PWM = 1 << 14;
 const RESET_UART0 = 22;
-const PWM_IRQ = 4;
 
 /**
  * An alarm fires when the low word of the microsecond counter equals it (datasheet 4.6). The package counts whole
@@ -35,12 +30,13 @@ export function mendTimerAlarms(rp) {
 
 /**
  * Bits that become set hold a peripheral in reset, which clears its registers (datasheet 2.14). The package only stores
- * them. Done for what is replaced here and for the PWM.
+ * them. Done for what is replaced here.
  * @param {RP2040} rp
  * @param {import('./pl011.mjs').Pl011[]} uarts
  * @param {import('./dma.mjs').Dma} dma
+ * @param {import('./pwm.mjs').Pwm} pwm
  */
-export function mendResets(rp, uarts, dma) {
+export function mendResets(rp, uarts, dma, pwm) {
   const resets = /** @type {any} */ (rp.peripherals[RESETS]);
   const write = resets.writeUint32.bind(resets);
   resets.writeUint32 = (/** @type {number} */ offset, /** @type {number} */ value) => {
@@ -52,30 +48,8 @@ export function mendResets(rp, uarts, dma) {
       if ((fresh >> (RESET_UART0 + i)) & 1) uart.reset();
     });
     if (fresh & RESET_DMA) dma.reset();
-    if (fresh & RESET_PWM) {
-      rp.pwm.reset();
-      Object.assign(rp.pwm, { intRaw: 0, intEnable: 0, intForce: 0 });
-      rp.setInterrupt(PWM_IRQ, false);
-    }
+    if (fresh & RESET_PWM) pwm.reset();
   };
-}
-
-/**
- * A read of CTR gives the counts that are complete (datasheet 4.5). The package rounds, so that with a divisor the
- * counter reads up to half a count early.
- * @param {RP2040} rp
- */
-export function mendPwmCounters(rp) {
-  for (const channel of /** @type {any} */ (rp.pwm).channels) {
-    const { timer } = channel;
-    const read = channel.readRegister.bind(channel);
-    channel.readRegister = (/** @type {number} */ offset) => {
-      if (offset !== PWM_CTR || !timer.enable || timer.mode !== COUNTING_UP) return read(offset);
-      const counts = ((rp.clock.nanos - timer.baseNanos) * timer.frequency) / 1e9 / timer.prescaler;
-      // A whole count may be a hair below itself in floating point.
-      return Math.floor(timer.baseValue + counts + 1e-6) % (timer.top + 1);
-    };
-  }
 }
 
 /**

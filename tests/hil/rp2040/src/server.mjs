@@ -15,6 +15,11 @@ function field(command, key, type, fallback) {
   return value;
 }
 
+/** @param {Command} command @param {string} key @returns {number | undefined} */
+function optional(command, key) {
+  return command[key] === undefined || command[key] === null ? undefined : field(command, key, 'number');
+}
+
 /** @param {Command} command @param {string} key @returns {[string, number]} */
 function end(command, key) {
   const value = command[key];
@@ -81,6 +86,15 @@ const COMMANDS = {
   send(world, command) {
     const atNs = command.at_ns === undefined ? undefined : field(command, 'at_ns', 'number');
     return world.send(field(command, 'port', 'string'), hex(command, 'bytes'), atNs);
+  },
+  crystal(world, command) {
+    const [ppm, ramp] = ['ppm', 'ramp_ppm_per_s'].map((key) => optional(command, key));
+    return world.setCrystal(field(command, 'chip', 'string'), ppm, ramp);
+  },
+  time(world, command) {
+    const [atNs, localNs] = ['at_ns', 'local_ns'].map((key) => optional(command, key));
+    if (atNs !== undefined && localNs !== undefined) throw new Error('give "at_ns" or "local_ns", not both');
+    return world.time(field(command, 'chip', 'string'), atNs, localNs);
   },
   run(world, command) {
     return world.run(field(command, 'until_ns', 'number'), field(command, 'stop', 'boolean', false));

@@ -8,6 +8,8 @@ import { Port, Wire } from './wire.mjs';
 const QUANTUM_NS = 2000;
 /** Part of a character's time that a quantum may take; the rest covers the last instruction's overrun. */
 const QUANTUM_PART = 0.8;
+/** No oscillator is a tenth off; far from standing still, so that time goes on. */
+const PPM_MAX = 100_000;
 
 /** @typedef {import('./chip.mjs').ChipEvent} ChipEvent */
 /** @typedef {import('./wire.mjs').PortEvent} PortEvent */
@@ -94,6 +96,34 @@ export class World {
   /** @param {string} name @param {Uint8Array} bytes @param {number | undefined} atNs */
   send(name, bytes, atNs) {
     return this.port(name).send(bytes, Math.max(atNs ?? 0, this.nowNs));
+  }
+
+  /**
+   * The crystal of a chip from now on; what is left out stays as it is.
+   * @param {string} name @param {number | undefined} ppm @param {number | undefined} rampPpmPerS
+   */
+  setCrystal(name, ppm, rampPpmPerS) {
+    const { crystal } = this.chip(name);
+    if (Math.abs(ppm ?? 0) > PPM_MAX) throw new Error(`chip ${name}: ${ppm} ppm; there are ${PPM_MAX} at most`);
+    crystal.set(this.nowNs, ppm ?? crystal.ppmAt(this.nowNs), rampPpmPerS ?? crystal.last.rampPpmPerS);
+    return { ppm: crystal.last.ppm, ramp_ppm_per_s: crystal.last.rampPpmPerS };
+  }
+
+  /**
+   * Truth about a chip's clock, of an instant of global time or of its own, since its last boot.
+   * @param {string} name @param {number | undefined} atNs global; else now @param {number | undefined} localNs
+   */
+  time(name, atNs, localNs) {
+    const { crystal, bootNs, isOn } = this.chip(name);
+    if (!isOn) throw new Error(`chip ${name} is off: it has no time`);
+    const globalNs = localNs === undefined ? (atNs ?? this.nowNs) : crystal.toGlobal(localNs);
+    if (globalNs < bootNs) throw new Error(`chip ${name} booted at ${bootNs} ns: there is no earlier time of it`);
+    return {
+      global_ns: globalNs,
+      local_ns: localNs ?? crystal.toLocal(globalNs),
+      ppm: crystal.ppmAt(globalNs),
+      boot_ns: bootNs,
+    };
   }
 
   /** @param {string} name @param {boolean} isCut */

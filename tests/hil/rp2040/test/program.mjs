@@ -136,7 +136,6 @@ export class Program {
 export function setClock(chip) {
   chip.rp.clkSys = chip.rp.clkPeri = 125e6;
   chip.machine.cycleNs = 8;
-  for (const { timer } of /** @type {any} */ (chip.rp.pwm).channels) timer.frequency = 125e6;
 }
 
 /** A program that sleeps for ever: for tests of peripherals alone. */

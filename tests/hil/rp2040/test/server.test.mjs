@@ -106,9 +106,16 @@ test('a whole session', async () => {
     { cmd: 'start', chip: 'a' },
     { cmd: 'cut', wire: 'p', cut: true },
     { cmd: 'save' },
+    { cmd: 'run', until_ns: 3e6 },
+    { cmd: 'reset', chip: 'a' },
+    { cmd: 'time', chip: 'a', at_ns: 3_500_000 },
+    { cmd: 'crystal', chip: 'a', ppm: -20, ramp_ppm_per_s: 0.5 },
+    { cmd: 'run', until_ns: 2_003e6 },
+    { cmd: 'time', chip: 'a' },
+    { cmd: 'time', chip: 'a', local_ns: 1e9 },
     { cmd: 'quit' },
   ]);
-  for (const i of [0, 1, 6, 11, 13, 14, 15, 16, 17]) assert.deepEqual(answers[i], { ok: true }, `answer ${i}`);
+  for (const i of [0, 1, 6, 11, 13, 14, 15, 16, 18, 24]) assert.deepEqual(answers[i], { ok: true }, `answer ${i}`);
   assert.deepEqual(answers[2], { now_ns: 1e6, events: [] });
   const bitNs = 1e9 / 750_000;
   assert.ok(Math.abs(answers[3].end_ns - 1_100_000 - 40 * bitNs) < 1e-6);
@@ -127,6 +134,12 @@ test('a whole session', async () => {
     { name: 'p', bytes_ab: 4, bytes_ba: 4, errors_ab: 0, errors_ba: 0, lost_ab: 0, lost_ba: 0 },
   ]);
   assert.deepEqual(answers[12].events, [{ chip: 'a', event: 'reset', detail: 'RUN pin' }]);
+  assert.deepEqual(answers[19], { global_ns: 3_500_000, local_ns: 500_005, ppm: 10, boot_ns: 3_000_000 });
+  assert.deepEqual(answers[20], { ppm: -20, ramp_ppm_per_s: 0.5 });
+  // Two seconds at -20 ppm, and half of two seconds times the 1 ppm that the ramp made.
+  assert.ok(Math.abs(answers[22].local_ns - (2e9 - 40_000 + 1_000)) < 1e-3);
+  assert.equal(answers[22].ppm, -19);
+  assert.ok(Math.abs(answers[23].global_ns - 1_003_019_750) < 1);
   assert.equal(readFileSync(flash).length, 2 * 1024 * 1024);
 });
 
@@ -150,6 +163,10 @@ test('every mistake is answered, and the session goes on', async () => {
     [{ cmd: 'port', name: 'p', to: ['a', 0], baud: 0 }, /must be positive/],
     [{ cmd: 'wire', name: 'w', a: ['a', 0], b: ['a', 1], delay_ns: -1 }, /must not be negative/],
     [{ cmd: 'start', chip: 'a' }, /chip a is on/],
+    [{ cmd: 'time', chip: 'a', at_ns: 1, local_ns: 1 }, /not both/],
+    [{ cmd: 'time', chip: 'a', at_ns: -1 }, /booted at 0 ns/],
+    [{ cmd: 'crystal', chip: 'a', ppm: '3' }, /"ppm" must be a number/],
+    [{ cmd: 'crystal', chip: 'a', ppm: -1e6 }, /-1000000 ppm/],
     [{ cmd: 'poke', chip: 'a', address: RAM, hex: '1' }, /in pairs/],
   ];
   const commands = [...mistakes.map(([c]) => c), chip, ...later.map(([c]) => c)];
