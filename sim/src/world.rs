@@ -21,7 +21,7 @@
 //! let motor = sim_device(&kind::MOTOR, UniqueId([1; 12]), 1, "a", &[UART]);
 //! let heater = sim_device(&kind::HEATER, UniqueId([2; 12]), 1, "b", &[UART]);
 //! let a = world.add_node(motor, Processor::INSTANT, ClockModel::PERFECT);
-//! let b = world.add_node(heater, Processor::INSTANT, ClockModel { rate_ppm: 20.0, offset_us: 5 });
+//! let b = world.add_node(heater, Processor::INSTANT, ClockModel { offset_us: 5, ..ClockModel::off_by(20.0) });
 //! let first = GatewayIndex::new(0).unwrap();
 //! world.connect((a, first), (b, first), LinkModel::WIRE);
 //! world.run_for(Span::from_us(1_000));
@@ -30,12 +30,16 @@
 //! ```
 
 mod bus;
+mod digest;
 mod flights;
+mod measure;
 mod queue;
+mod stamps;
 mod station;
 mod wire;
 
 pub use bus::{BusModel, BusStats};
+pub use stamps::StampModel;
 pub use station::{Boot, Factory};
 pub use wire::WayStats;
 
@@ -45,13 +49,14 @@ use crate::processor::Processor;
 use crate::time::{Clock, ClockModel, TrueTime};
 use crate::walk::{WalkEvent, WalkStage};
 use bus::Bus;
-use fixed_math::time::{LocalTicks, Span};
+use fixed_math::time::Span;
 use flights::Flights;
 use osap_protocol::discovery::GatewayKind;
 use osap_protocol::{GatewayIndex, Packet};
 use queue::{Queue, What};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
+use stamps::Stamps;
 use station::{Attachment, Gate, Station};
 use std::any::Any;
 use wire::{Link, Outside, Way};
@@ -90,6 +95,8 @@ pub struct ExternalId(u32);
 pub struct LinkModel {
     /// From a byte's leaving to its arrival.
     pub latency: Span,
+    /// What comes on top of it from the link's first end to its second, and back.
+    pub extra: [Span; 2],
     /// Most that is added to the latency of a frame; uniform.
     pub jitter: Span,
     /// Faults of both directions, drawn apart.
@@ -98,7 +105,7 @@ pub struct LinkModel {
 
 impl LinkModel {
     /// A cable.
-    pub const WIRE: Self = Self { latency: Span::ZERO, jitter: Span::ZERO, faults: None };
+    pub const WIRE: Self = Self { latency: Span::ZERO, extra: [Span::ZERO; 2], jitter: Span::ZERO, faults: None };
 }
 
 /// What happened so far.
@@ -199,9 +206,20 @@ impl World {
     /// # Panics
     /// Beyond 2^32 nodes.
     pub fn add_node(&mut self, endpoint: Box<dyn Endpoint>, processor: Processor, clock: ClockModel) -> NodeId {
-        let node = NodeId(u32::try_from(self.stations.len()).expect("fewer than 2^32 nodes"));
-        let clock = Clock::new(clock, self.now);
-        self.stations.push(Station::new(endpoint, processor, clock, self.now));
+        self.add_node_at(self.now, endpoint, processor, clock)
+    }
+
+    fn add_node_at(
+        &mut self,
+        boots: TrueTime,
+        endpoint: Box<dyn Endpoint>,
+        processor: Processor,
+        clock: ClockModel,
+    ) -> NodeId {
+        let number = u32::try_from(self.stations.len()).expect("fewer than 2^32 nodes");
+        let stamps = Stamps::new(StampModel::EXACT, self.seed, number);
+        self.stations.push(Station::new(endpoint, processor, Clock::new(clock, boots), stamps, boots));
+        let node = NodeId(number);
         if self.walk.is_some() {
             self.listen_to_stages(node);
         }
@@ -209,10 +227,22 @@ impl World {
     }
 
     /// Adds a device and boots it for the first time; [`World::reset`] boots it again.
-    pub fn add_device(&mut self, mut factory: Factory, processor: Processor, clock: ClockModel) -> NodeId {
+    pub fn add_device(&mut self, factory: Factory, processor: Processor, clock: ClockModel) -> NodeId {
+        self.add_device_at(self.now, factory, processor, clock)
+    }
+
+    /// As [`World::add_device`], but it boots at `boots` or now, whichever is later: until then it does nothing, and what comes to it is
+    /// lost.
+    pub fn add_device_at(
+        &mut self,
+        boots: TrueTime,
+        mut factory: Factory,
+        processor: Processor,
+        clock: ClockModel,
+    ) -> NodeId {
         let epoch = self.first_epoch;
         let endpoint = factory(Boot { epoch, name: None });
-        let node = self.add_node(endpoint, processor, clock);
+        let node = self.add_node_at(boots.max(self.now), endpoint, processor, clock);
         let station = &mut self.stations[node.at()];
         (station.factory, station.epoch) = (Some(factory), epoch);
         node
@@ -220,12 +250,22 @@ impl World {
 
     /// A rate within ±`limit_ppm`, drawn from the world's seed, for a clock that reads zero now.
     pub fn draw_clock(&mut self, limit_ppm: f64) -> ClockModel {
-        ClockModel { rate_ppm: self.rng.random_range(-limit_ppm..=limit_ppm), offset_us: 0 }
+        ClockModel::off_by(self.rng.random_range(-limit_ppm..=limit_ppm))
     }
 
-    /// A fixed delay up to `limit`, drawn from the world's seed.
+    /// A span up to `limit`, drawn from the world's seed.
+    pub(crate) fn draw_span(&mut self, limit: Span) -> Span {
+        Span::from_steps(self.rng.random_range(0..=limit.steps()))
+    }
+
+    /// A number below `limit`, drawn from the world's seed.
     pub(crate) fn draw_below(&mut self, limit: usize) -> usize {
         self.rng.random_range(0..limit)
+    }
+
+    /// Says how well a node stamps from now on; exactly where nobody says.
+    pub fn set_stamps(&mut self, node: NodeId, model: StampModel) {
+        self.stations[node.at()].stamps = Stamps::new(model, self.seed, node.0);
     }
 
     /// Wires two gateways together and opens them.
@@ -237,7 +277,8 @@ impl World {
         let stream = u64::from(link) * 2;
         let faults = |way: u64| self.fault_layer(model.faults, stream + way);
         let ways = [Way::new(b, faults(0)), Way::new(a, faults(1))];
-        let LinkModel { latency, jitter, .. } = model;
+        let LinkModel { latency, extra, jitter, .. } = model;
+        let latency = extra.map(|extra| latency + extra);
         self.links.push(Link { latency, jitter, whole: true, epoch: 0, ways, tap: None });
         for (way, (node, gateway)) in [(0, a), (1, b)] {
             self.wire(node, gateway, Attachment::Link { link, way });
@@ -369,18 +410,6 @@ impl World {
         self.queue.next_at()
     }
 
-    /// What a node's counter reads now.
-    #[must_use]
-    pub fn local_now(&self, node: NodeId) -> LocalTicks {
-        self.stations[node.at()].clock.local(self.now)
-    }
-
-    /// When a node's counter reads `local`.
-    #[must_use]
-    pub fn truth(&self, node: NodeId, local: LocalTicks) -> TrueTime {
-        self.stations[node.at()].clock.truth(local)
-    }
-
     /// A node's endpoint, as the type it was made as.
     #[must_use]
     pub fn endpoint<T: Endpoint>(&self, node: NodeId) -> Option<&T> {
@@ -440,12 +469,6 @@ impl World {
     /// Lets `tap` see every packet of a link from now on.
     pub fn tap_link(&mut self, id: LinkId, tap: Tap) {
         self.links[id.0 as usize].tap = Some(tap);
-    }
-
-    /// A number that two runs share if, and but for chance only if, all their events and frames were the same.
-    #[must_use]
-    pub const fn digest(&self) -> u64 {
-        self.digest
     }
 
     /// Begins to record the stages that packets pass, or ends it. Nodes write their stages down while it is recorded.
@@ -533,36 +556,6 @@ impl World {
             assert!(self.node(node).gateway_config(gateway).is_some(), "the new device has every wired gateway");
             self.set_open(node, gateway, open);
         }
-    }
-
-    fn digest_event(&mut self, at: TrueTime, what: What) {
-        let (kind, detail) = match what {
-            What::Arrive { flight } => (1, u64::from(flight)),
-            What::Sent { node, gateway, .. } => (2, u64::from(node.0) << 8 | u64::from(gateway.get())),
-            What::Job { node, .. } => (3, u64::from(node.0)),
-            What::Wake { node } => (4, u64::from(node.0)),
-            What::Faults { link, way } => (5, u64::from(link) << 8 | u64::from(way)),
-            What::BusFree { bus } => (6, u64::from(bus)),
-            What::BusFaults { bus } => (7, u64::from(bus)),
-            What::Hear { bus } => (0, u64::from(bus)),
-        };
-        self.mix(at.steps());
-        self.mix(detail << 3 | kind);
-    }
-
-    fn digest_bytes(&mut self, bytes: &[u8]) {
-        let (words, rest) = bytes.as_chunks::<8>();
-        for word in words {
-            self.mix(u64::from_le_bytes(*word));
-        }
-        let mut last = [0; 8];
-        last[..rest.len()].copy_from_slice(rest);
-        self.mix(u64::from_le_bytes(last));
-    }
-
-    /// One round of a multiply-and-rotate hash: quick, and good enough to tell two runs apart.
-    const fn mix(&mut self, word: u64) {
-        self.digest = (self.digest.rotate_left(23) ^ word).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     }
 }
 

@@ -65,7 +65,7 @@ fn seventy_six_bytes_take_266_67_microseconds() {
 #[test]
 fn clocks_drift_as_they_are_told() {
     let mut world = World::new(1);
-    let fast = ClockModel { rate_ppm: 50.0, offset_us: 0 };
+    let fast = ClockModel::off_by(50.0);
     let a = add_device(&mut world, &kind::MOTOR, "fast", vec![UART], SLOW, fast);
     let b = add_device(&mut world, &kind::MOTOR, "true", vec![UART], SLOW, ClockModel::PERFECT);
     world.connect((a, gateway(0)), (b, gateway(0)), LinkModel::WIRE);
@@ -114,7 +114,7 @@ fn the_ttl_loses_residence_and_wire_at_every_hop() {
 /// `[PKT-10]`: a node whose clock is 5 % slow takes off 5 % less for residence, and the same for the wire.
 #[test]
 fn residence_is_measured_by_the_nodes_own_clock() {
-    let slow = ClockModel { rate_ppm: -50_000.0, offset_us: 0 };
+    let slow = ClockModel::off_by(-50_000.0);
     let mut world = World::new(1);
     let host = add_probe(&mut world, &[UART]);
     let resting = Processor { receive: us(1_000), forward: us(1_000), ..SLOW };
@@ -161,7 +161,7 @@ fn the_ttl_loses_a_buss_addresses_too() {
 fn jitter_alone_keeps_the_order() {
     let mut world = World::new(4);
     let nodes = [1, 2].map(|_| add_probe(&mut world, &[USB_HIGH_SPEED]));
-    let model = LinkModel { jitter: us(500), latency: us(10), faults: None };
+    let model = LinkModel { jitter: us(500), latency: us(10), ..LinkModel::WIRE };
     world.connect((nodes[0], gateway(0)), (nodes[1], gateway(0)), model);
     world.run_for(us(20_000));
     for number in 0..200u8 {

@@ -43,7 +43,12 @@ fn pings(world: &mut World, shape: &[NodeId], host: NodeId) {
 fn the_same_seed_gives_the_same_world() {
     let run = |seed| {
         let mut world = World::new(seed);
-        let model = LinkModel { jitter: us(20), latency: us(1), faults: Some("loss=0.02,seed=4".parse().unwrap()) };
+        let model = LinkModel {
+            jitter: us(20),
+            latency: us(1),
+            faults: Some("loss=0.02,seed=4".parse().unwrap()),
+            ..LinkModel::WIRE
+        };
         let line = shapes::line(&mut world, 8, model);
         let host = add_probe(&mut world, &[UART]);
         world.connect((host, gateway(0)), (line.nodes[0], gateway(0)), LinkModel::WIRE);

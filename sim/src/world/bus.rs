@@ -167,7 +167,7 @@ impl World {
             let gate = self.stations[node.at()].gate(gateway).expect("members are wired");
             let mut packet = std::mem::take(&mut self.packet);
             match self.take_output(node, gate, &mut packet) {
-                Some(Outgoing { len, to }) => {
+                Some(Outgoing { len, to, .. }) => {
                     self.speak(bus, drop, node, gate, to.unwrap_or(BusDrop::BROADCAST), &packet[..len]);
                 }
                 None => self.stations[node.at()].gates[gate].busy = false,

@@ -9,6 +9,7 @@
 use super::bus::Heard;
 use super::flights::{Flight, Over};
 use super::queue::What;
+use super::stamps::Stamps;
 use super::{FRAME_BYTES_MAX, NodeId, World, is_announcement};
 use crate::endpoint::Endpoint;
 use crate::processor::{Processor, RING_FRAMES};
@@ -96,6 +97,7 @@ pub(super) struct Station {
     pub(super) endpoint: Box<dyn Endpoint>,
     pub(super) processor: Processor,
     pub(super) clock: Clock,
+    pub(super) stamps: Stamps,
     pub(super) factory: Option<Factory>,
     pub(super) epoch: u32,
     pub(super) name: Option<String>,
@@ -116,11 +118,18 @@ pub(super) struct Station {
 }
 
 impl Station {
-    pub(super) fn new(endpoint: Box<dyn Endpoint>, processor: Processor, clock: Clock, booted: TrueTime) -> Self {
+    pub(super) fn new(
+        endpoint: Box<dyn Endpoint>,
+        processor: Processor,
+        clock: Clock,
+        stamps: Stamps,
+        booted: TrueTime,
+    ) -> Self {
         Self {
             endpoint,
             processor,
             clock,
+            stamps,
             factory: None,
             epoch: 1,
             name: None,
@@ -204,6 +213,11 @@ impl World {
             if station.job.is_some() {
                 return;
             }
+            if now < station.booted {
+                let booted = station.booted;
+                self.wake_at(node, booted);
+                return;
+            }
             let local = station.clock.local(now);
             let Some((job, takes)) = station.next_job(now, local) else {
                 self.plan_wake(node, local);
@@ -279,7 +293,7 @@ impl World {
         bytes: &[u8],
     ) -> Heard {
         let mut heard = Heard::default();
-        let Station { endpoint, clock, gates, ring, booted, .. } = &mut self.stations[node.at()];
+        let Station { endpoint, clock, stamps, gates, ring, booted, .. } = &mut self.stations[node.at()];
         if began < *booted {
             heard.missed = 1;
             return heard;
@@ -288,25 +302,27 @@ impl World {
         let takes = gate.wire_time(bytes.len());
         let (local, first_new) = (clock.local(self.now), ring.len());
         let (flights, ring_frames) = (&mut self.flights, &mut gate.ring_frames);
-        unstuff(&mut gate.deframer, bytes, clock.local(began), takes, |result| match addressed(result) {
-            Ok((to, from, packet, stamp)) if to == own || to == BusDrop::BROADCAST => {
-                heard.taken += 1;
-                if *ring_frames == RING_FRAMES {
-                    heard.overrun += 1;
-                    endpoint.count(DropCause::RxOverrun, Some(gateway), local);
-                    return;
+        unstuff(&mut gate.deframer, bytes, stamps.arrival(clock, began, self.now), takes, |result| {
+            match addressed(result) {
+                Ok((to, from, packet, stamp)) if to == own || to == BusDrop::BROADCAST => {
+                    heard.taken += 1;
+                    if *ring_frames == RING_FRAMES {
+                        heard.overrun += 1;
+                        endpoint.count(DropCause::RxOverrun, Some(gateway), local);
+                        return;
+                    }
+                    *ring_frames += 1;
+                    let mut bytes = flights.buffer();
+                    bytes.extend_from_slice(packet);
+                    let (over, quiet) = (Over::Bus { from, stamp }, is_announcement(packet));
+                    let flight = Flight { to: node, gateway, over, started: began, cut: false, quiet, bytes };
+                    ring.push_back(flights.launch(flight));
                 }
-                *ring_frames += 1;
-                let mut bytes = flights.buffer();
-                bytes.extend_from_slice(packet);
-                let (over, quiet) = (Over::Bus { from, stamp }, is_announcement(packet));
-                let flight = Flight { to: node, gateway, over, started: began, cut: false, quiet, bytes };
-                ring.push_back(flights.launch(flight));
-            }
-            Ok(_) => heard.passed_over += 1,
-            Err(cause) => {
-                heard.damaged += 1;
-                endpoint.count(cause, Some(gateway), local);
+                Ok(_) => heard.passed_over += 1,
+                Err(cause) => {
+                    heard.damaged += 1;
+                    endpoint.count(cause, Some(gateway), local);
+                }
             }
         });
         for at in first_new..self.stations[node.at()].ring.len() {
@@ -344,11 +360,11 @@ impl World {
     fn deframe(&mut self, node: NodeId, id: u32) {
         let mut flight = self.flights.land(id);
         let now = self.now;
-        let Station { endpoint, clock, gates, .. } = &mut self.stations[node.at()];
+        let Station { endpoint, clock, stamps, gates, .. } = &mut self.stations[node.at()];
         let at = gates.iter().position(|gate| gate.index == flight.gateway).expect("captured by this gate");
         let gate = &mut gates[at];
         gate.ring_frames -= 1;
-        let (local, started) = (clock.local(now), clock.local(flight.started));
+        let local = clock.local(now);
         let len = flight.bytes.len();
         let takes = gate.wire_time(len);
         let mut whole = 0u16;
@@ -356,6 +372,7 @@ impl World {
             whole += 1;
             endpoint.receive(Arrival::Bus { gateway: flight.gateway, from }, &mut flight.bytes, stamp, local);
         } else {
+            let started = stamps.arrival(clock, flight.started, now);
             unstuff(&mut gate.deframer, &flight.bytes, started, takes, |result| {
                 self.stats.frames_seen += 1;
                 match opened(result, gate.index, gate.config.kind) {

@@ -59,7 +59,8 @@ pub struct WayStats {
 
 /// A point-to-point link.
 pub(super) struct Link {
-    pub(super) latency: Span,
+    /// From the first end, from the second.
+    pub(super) latency: [Span; 2],
     pub(super) jitter: Span,
     /// Bytes get through.
     pub(super) whole: bool,
@@ -164,7 +165,7 @@ impl World {
             Span::from_steps(self.rng.random_range(0..=it.jitter.steps()))
         };
         let lane = &mut it.ways[usize::from(way)];
-        let started = (left + it.latency + jitter).max(lane.arrived);
+        let started = (left + it.latency[usize::from(way)] + jitter).max(lane.arrived);
         lane.arrived = started + takes;
         let (to, gateway) = lane.to;
         let over = Over::Link { link, way, epoch: it.epoch };

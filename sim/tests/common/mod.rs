@@ -43,6 +43,8 @@ pub(crate) struct Probe {
     pub(crate) progress: Option<Progress>,
     /// Time to live of each packet that came in, announcements left out.
     pub(crate) ttls_us: Vec<u16>,
+    /// Stamp of the first byte, and hand-over, of each of these.
+    pub(crate) stamps: Vec<(LocalTicks, LocalTicks)>,
 }
 
 impl Probe {
@@ -71,6 +73,7 @@ impl Probe {
             messages: Vec::new(),
             progress: None,
             ttls_us: Vec::new(),
+            stamps: Vec::new(),
         })
     }
 
@@ -133,6 +136,7 @@ impl Endpoint for Probe {
             && ttl_us != ANNOUNCE_TTL_US
         {
             self.ttls_us.push(ttl_us);
+            self.stamps.push((started, now));
         }
     }
 

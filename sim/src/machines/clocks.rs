@@ -1,0 +1,121 @@
+//! Networks in which clocks are measured: a line of hubs, a tree, each node with a crystal, a timer and stamps of its own.
+//!
+//! - **Walk:** [`line`] or [`tree`] → the nodes' clock service → [`World::exact`] at one instant, and what each node makes of it.
+//! - **Invariants:** links are 3 Mbaud UARTs; processors are [`PICO_125_MHZ`]. Rates and boot times are drawn from the world's seed. The first
+//!   node boots first.
+//! - **Context:** before the world's first step. **Clause:** `[NOD-12]`.
+
+use super::{CRYSTAL_PPM, UART, gateway, micros, sim_factory};
+use crate::device::SIM_GATEWAYS;
+use crate::processor::Processor;
+use crate::time::{ClockModel, Ramp, TrueTime};
+use crate::world::{LinkId, LinkModel, NodeId, StampModel, World};
+use firmware_app::kind;
+use fixed_math::time::Span;
+
+/// Our own image on a Raspberry Pi Pico at 125 MHz: 52 µs for a packet received, handled and answered, of which the images' measured round
+/// trips see 50.2, and forwarding a packet takes it 32, where they see 34 to 38.
+pub const PICO_125_MHZ: Processor = Processor {
+    name: "RP2040, our image at 125 MHz",
+    clock_hz: 125_000_000,
+    receive: micros(20, 0),
+    handle: micros(20, 0),
+    forward: micros(12, 0),
+};
+
+/// What the nodes and links are like.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClockWorld {
+    /// Each crystal is off by up to this, evenly distributed, ppm.
+    pub crystal_ppm: f64,
+    /// What each crystal's rate does over time; every other node's goes downwards first.
+    pub ramp: Ramp,
+    /// What each timer counts in.
+    pub tick: Span,
+    /// How well each node stamps.
+    pub stamps: StampModel,
+    /// Nodes boot within this time, evenly distributed; the first one at its beginning.
+    pub boots_within: Span,
+    /// What each link adds to its wire time.
+    pub link: LinkModel,
+}
+
+impl ClockWorld {
+    /// The conditions of the figures to beat: ±50 ppm, a ramp of 0.01 ppm a second, timers of 1 µs, 30 % of stamps delayed by 8 µs in the
+    /// mean; boots within 50 ms.
+    pub const FIGURES: Self = Self {
+        crystal_ppm: CRYSTAL_PPM,
+        ramp: Ramp { ppm_per_s: 0.01, ppm_max: 2.0 },
+        tick: Span::from_us(1),
+        stamps: StampModel { delayed_part: 0.3, delay_mean: Span::from_us(8) },
+        boots_within: Span::from_us(50_000),
+        link: LinkModel::WIRE,
+    };
+}
+
+/// A network without loops; the first node is its root.
+#[derive(Clone, Debug, Default)]
+pub struct ClockTree {
+    /// Nodes, each after the one it hangs on. Gateway 0 leads up, gateways from 1 on lead down; that of the first node is free.
+    pub nodes: Vec<NodeId>,
+    /// How many links lie between each node and the first.
+    pub hops: Vec<usize>,
+    /// The node that each hangs on, but for the first: link `n` leads from `parents[n]` to node `n + 1`.
+    pub parents: Vec<usize>,
+    /// Links; the first end is the upper one.
+    pub links: Vec<LinkId>,
+}
+
+impl ClockTree {
+    /// The nodes on the way from a node up to the first, both included.
+    pub fn path(&self, at: usize) -> impl Iterator<Item = usize> {
+        std::iter::successors(Some(at), |at| at.checked_sub(1).map(|link| self.parents[link]))
+    }
+
+    /// When the last node on the way from the first to a node has booted: the earliest instant at which it could know the time.
+    #[must_use]
+    pub fn joined(&self, world: &World, at: usize) -> TrueTime {
+        self.path(at).map(|at| world.booted(self.nodes[at])).max().unwrap_or_default()
+    }
+}
+
+/// `hops` hubs in a row with a device at the end.
+pub fn line(world: &mut World, hops: usize, model: &ClockWorld) -> ClockTree {
+    build(world, hops + 1, 1, model)
+}
+
+/// `nodes` nodes, of which each has `fan_out` others below it until they are used up: levels are filled one by one.
+///
+/// # Panics
+/// Where a hub would need more than `SIM_GATEWAYS` gateways, or none.
+pub fn tree(world: &mut World, nodes: usize, fan_out: usize, model: &ClockWorld) -> ClockTree {
+    assert!((1..SIM_GATEWAYS).contains(&fan_out), "a hub has one gateway up and up to {} down", SIM_GATEWAYS - 1);
+    build(world, nodes, fan_out, model)
+}
+
+fn build(world: &mut World, nodes: usize, fan_out: usize, model: &ClockWorld) -> ClockTree {
+    let mut it = ClockTree::default();
+    let begins = world.now();
+    for at in 0..nodes {
+        let below = nodes.saturating_sub(at * fan_out + 1).min(fan_out);
+        let drawn = world.draw_clock(model.crystal_ppm);
+        let turn = if at % 2 == 0 { 1.0 } else { -1.0 };
+        let ramp = Ramp { ppm_per_s: model.ramp.ppm_per_s * turn, ..model.ramp };
+        let clock = ClockModel { tick: model.tick, ramp, ..drawn };
+        let after = if at == 0 { Span::ZERO } else { world.draw_span(model.boots_within) };
+        let kind = if below == 0 { &kind::MOTOR } else { &kind::HUB };
+        let name = format!("{}-{at}", kind.type_name);
+        let factory = sim_factory(world, kind, &name, vec![UART; 1 + below]);
+        let node = world.add_device_at(begins + after, factory, PICO_125_MHZ, clock);
+        world.set_stamps(node, model.stamps);
+        it.nodes.push(node);
+        if let Some(place) = at.checked_sub(1) {
+            let (parent, way_down) = (place / fan_out, place % fan_out);
+            let upper = (it.nodes[parent], gateway(1 + way_down));
+            it.links.push(world.connect(upper, (node, gateway(0)), model.link));
+            it.parents.push(parent);
+        }
+        it.hops.push(it.path(at).count() - 1);
+    }
+    it
+}
