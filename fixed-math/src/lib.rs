@@ -1,10 +1,12 @@
-//! Fixed-point arithmetic of the device path: time today, splines with exact derivatives beside it.
+//! Fixed-point arithmetic of the device path: time, clocks compared by it, and splines with exact derivatives.
 //!
 //! - **Walk:** every stamp of a packet and every instant of a control point is one of the types in [`time`].
 //! - **Invariants:** no float, no allocation, no panic; what would overflow saturates towards the side that was overflown.
-//! - **Context:** any, interrupts included: every call is a handful of integer instructions.
+//! - **Context:** any, interrupts included, but for what [`clock`] says of its estimator: every call is a handful of integer
+//!   instructions.
 #![no_std]
 #![forbid(unsafe_code)]
 
+pub mod clock;
 pub mod spline;
 pub mod time;

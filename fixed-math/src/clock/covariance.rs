@@ -1,0 +1,105 @@
+//! How sure the estimator of a link is of its two numbers, and how much it makes of a measurement: a Kalman filter's arithmetic.
+//!
+//! - **Walk:** [`LinkClock::observe`](super::LinkClock::observe) → [`Covariance::after`] (what time does to it) → [`Covariance::gains`] →
+//!   [`Covariance::measured`].
+//! - **Invariants:** both states are microseconds, since the skew is taken as what it adds to the offset in a unit of 2^16 µs (65.5 ms);
+//!   so all three entries are µs² in Q36, 15 (µm)² fine. A span in steps of 2^−8 µs is that many units in Q24, and every product by time
+//!   is one shift by 24. The diagonal is at least [`OFFSET_FLOOR`] and [`SKEW_FLOOR`] and at most [`CAP`].
+//! - **Context:** once an exchange: ten 128-bit products and one 64-bit division.
+
+use super::wide::{Reciprocal, mul_shift};
+
+/// Largest entry of the diagonal, 2^25 µs² (5.8 ms, one sigma): two of them still add up in 63 bits.
+pub(super) const CAP: i64 = 1 << 61;
+/// Smallest variance of the offset, (1/256 µs)²: the step of what is published.
+const OFFSET_FLOOR: i64 = 1 << 20;
+/// Smallest variance of the skew, (0.93 ppb)²: below it rounding of the products above takes over.
+const SKEW_FLOOR: i64 = 1 << 8;
+/// Fraction bits of a gain.
+const GAIN_FRACTION: u32 = 32;
+/// Fraction bits of a span of time in units of 2^16 µs when it is given in steps.
+const TIME_FRACTION: u32 = 24;
+
+/// Of offset and skew; µs² in Q36.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Covariance {
+    pub(super) offset: i64,
+    pub(super) both: i64,
+    pub(super) skew: i64,
+}
+
+/// What part of a surprise goes to the offset and to the skew, in 2^−32.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Gains {
+    offset: i64,
+    skew: i64,
+}
+
+impl Gains {
+    /// What is added to offset and skew for `surprise`, all in the same unit.
+    pub(super) const fn of(self, surprise: i64) -> (i64, i64) {
+        (mul_shift(surprise, self.offset, GAIN_FRACTION), mul_shift(surprise, self.skew, GAIN_FRACTION))
+    }
+}
+
+impl Covariance {
+    /// Two numbers that know nothing of each other.
+    pub(super) const fn apart(offset: i64, skew: i64) -> Self {
+        Self { offset: within(offset, OFFSET_FLOOR), both: 0, skew: within(skew, SKEW_FLOOR) }
+    }
+
+    /// `steps` later, which are not negative, the skew having walked by `agility` (µs² in Q36 a unit of time): Q = A·[[T³/3, T²/2], [T²/2, T]].
+    /// `None` past [`CAP`]. Five products.
+    pub(super) const fn after(self, steps: i64, agility: i64) -> Option<Self> {
+        let walked = mul_shift(agility, steps, TIME_FRACTION);
+        let walked_twice = mul_shift(walked, steps, TIME_FRACTION + 1);
+        let turned = mul_shift(self.skew, steps, TIME_FRACTION);
+        // two thirds: T³/3 is T times two thirds of T²/2
+        let inner =
+            self.both.saturating_mul(2).saturating_add(turned).saturating_add(mul_shift(walked_twice, 43_691, 16));
+        let offset = self.offset.saturating_add(mul_shift(inner, steps, TIME_FRACTION));
+        let both = self.both.saturating_add(turned).saturating_add(walked_twice);
+        let skew = self.skew.saturating_add(walked);
+        if offset > CAP || skew > CAP {
+            return None;
+        }
+        Some(Self { offset: within(offset, OFFSET_FLOOR), both, skew: within(skew, SKEW_FLOOR) })
+    }
+
+    /// The gains for a measurement of the offset with variance `noise`. Two products and the division.
+    pub(super) const fn gains(self, noise: i64) -> Gains {
+        let over_sum = Reciprocal::of(self.offset + noise);
+        Gains { offset: over_sum.times(self.offset, GAIN_FRACTION), skew: over_sum.times(self.both, GAIN_FRACTION) }
+    }
+
+    /// After that measurement. Three products, in the form whose diagonal cannot become negative but by rounding.
+    pub(super) const fn measured(self, noise: i64, gains: Gains) -> Self {
+        let skew = self.skew.saturating_sub(mul_shift(self.both, gains.skew, GAIN_FRACTION));
+        Self {
+            offset: within(mul_shift(noise, gains.offset, GAIN_FRACTION), OFFSET_FLOOR),
+            both: mul_shift(noise, gains.skew, GAIN_FRACTION),
+            skew: within(skew, SKEW_FLOOR),
+        }
+    }
+
+    /// After two measurements so far apart that the skew between them is their slope: what [`Covariance::after`] and
+    /// [`Covariance::measured`] tend to where the skew was not known. Both noises and the walk are those of the skew at the later end.
+    pub(super) const fn of_slope(first: i64, second: i64, over_steps: Reciprocal, steps: i64, agility: i64) -> Self {
+        let both = over_steps.times(second, TIME_FRACTION);
+        let slope = over_steps.times(first.saturating_add(second), TIME_FRACTION);
+        let skew = over_steps.times(slope, TIME_FRACTION);
+        let walked = mul_shift(agility, steps, TIME_FRACTION) / 3;
+        Self { offset: within(second, OFFSET_FLOOR), both, skew: within(skew.saturating_add(walked), SKEW_FLOOR) }
+    }
+}
+
+/// Between `floor` and [`CAP`].
+const fn within(value: i64, floor: i64) -> i64 {
+    if value < floor {
+        floor
+    } else if value > CAP {
+        CAP
+    } else {
+        value
+    }
+}

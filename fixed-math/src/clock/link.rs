@@ -1,0 +1,498 @@
+//! One link's clock: where the peer's counter stands against one's own, how much faster it runs, and how sure that is.
+//!
+//! - **Walk:** [`LinkClock::observe`] takes the four stamps of an exchange: refused or measured → time passes over what is known
+//!   ([`covariance`](super::covariance), [`interval`](super::interval)) → too surprising or not → filter and interval take their part →
+//!   the reference moves to the exchange. Between exchanges [`LinkClock::peer_at`] and [`LinkClock::compose`] read the line.
+//! - **Invariants:** all is kept relative to the last exchange accepted, so nothing grows with the counters. The estimate lies inside the
+//!   interval of what is certainly so. No stamps make it panic, and none lock it out: [`RUN`] refused exchanges that agree with each
+//!   other start it anew.
+//! - **Context:** once an exchange. Products of 128 bits: 13 an exchange (16 when the rate is measured as a slope); divisions of 64 bits:
+//!   two, and two square roots; all else is 64 bits.
+
+use super::covariance::{CAP, Covariance, Gains};
+use super::interval::Interval;
+use super::line::{Estimate, PeerEstimate, TimeLine, backwards, distance, forwards, grown};
+use super::roundtrip::ShortestRoundTrip;
+use super::wide::{Reciprocal, hypotenuse, mul_shift, root_ceil};
+use super::{Exchange, Fault, LinkTraits};
+use crate::time::{LocalTicks, PeerTicks, Rate, Span};
+
+/// Refused exchanges that agree with each other and not with what was known, after which they are believed.
+pub const RUN: u8 = 8;
+/// Longest time between the stamps of one exchange, 67 s: what is longer is no exchange.
+const EXCHANGE_MAX: u64 = 1 << 34;
+/// Longest time between two exchanges that still have to do with each other, 18 min; longer, and only the rate is kept.
+const GAP_MAX: i64 = 1 << 38;
+/// Farthest offset that is looked at, 72 min.
+const OFFSET_MAX: i64 = 1 << 40;
+/// Bits below a step: state and surprises are µs in Q24.
+const BELOW_STEP: u32 = 16;
+/// Sigma of the rate after a start with a known one, 2 ppm, squared: µs² in Q36 of a unit of 2^16 µs.
+const HOT: i64 = (1 << 36) / 1_000_000 * 17_180;
+/// How the skew walks at first, (3·10⁻⁸)² a second: 2.53·10⁻⁷ µs² in Q36 a unit of time.
+const AGILITY: i64 = 17_400;
+/// How far that is doubled, and halved: a crystal in a draught against an RC oscillator, and one in a box.
+const AGILITY_LOG2: core::ops::RangeInclusive<i8> = -4..=14;
+/// Agreeing signs of successive surprises, less those that do not agree, at which the skew is taken to walk faster, or slower.
+const LEAN_MAX: i8 = 8;
+/// Square of the most sigmas a surprise may have: 2^this.
+const GATE_LOG2: u32 = 5;
+/// Sigmas of the rate that count as certain.
+const CERTAIN: i64 = 6;
+/// Fastest change of the relative rate, 0.02 ppm a second, over 2.5 s: 0.05 ppm, what the rate may be off beyond its sigmas while an
+/// estimate lives.
+const FLOOR: Rate = Rate::from_ppb(50);
+
+/// What was refused last, in case it goes on.
+#[derive(Clone, Copy, Debug)]
+struct Candidate {
+    at: LocalTicks,
+    peer: PeerTicks,
+    run: u8,
+}
+
+/// The four stamps as two readings of one instant, halfway.
+#[derive(Clone, Copy, Debug)]
+struct Measured {
+    /// Half way from `sent` to `received`, rounded down to a step.
+    at: LocalTicks,
+    /// The peer's counter then, less `heard`, µs in Q24.
+    after_heard: i64,
+    /// The time on the way, both ways, steps.
+    round_trip: i64,
+    /// Where the peer's counter certainly was, less `heard`, steps.
+    certain: Interval,
+}
+
+/// Offset and skew of a peer's counter against one's own.
+#[derive(Clone, Debug)]
+pub struct LinkClock {
+    traits: LinkTraits,
+    /// Variance of an exchange without delays, µs² in Q36.
+    noise: i64,
+    /// Time certainly on the way, there and back, steps; both negative or positive.
+    there: i64,
+    back: i64,
+    at: LocalTicks,
+    /// Estimated reading of the peer's counter at `at`: whole steps, and what is above them, µs in Q24.
+    peer: PeerTicks,
+    above: i64,
+    /// Skew: µs in Q24 for a unit of 2^16 µs, which is the rate in 2^−40.
+    skew: i64,
+    covariance: Covariance,
+    /// Relative to `peer`.
+    certain: Interval,
+    drift: Rate,
+    agility_log2: i8,
+    lean: i8,
+    /// The last surprise, for its sign.
+    surprise: i64,
+    answered: PeerTicks,
+    shortest: ShortestRoundTrip,
+    round_trip: Span,
+    offset_steps: i64,
+    candidate: Option<Candidate>,
+    exchanges: u32,
+    restarts: u32,
+    contradictions: u32,
+}
+
+impl LinkClock {
+    /// A link of which nothing but `traits` is known.
+    #[must_use]
+    pub const fn new(traits: LinkTraits) -> Self {
+        let skew = prior(traits.rate_sigma);
+        let tick = cut(traits.tick.steps(), 1 << 20);
+        let wire = cut(traits.wire.steps(), EXCHANGE_MAX);
+        // both ways are counted by the slower counter
+        let wire = wire - certain_rate(traits.rate_sigma).over(wire) - 1;
+        let half = traits.asymmetry_steps as i64 / 2;
+        Self {
+            traits,
+            // four stamps, each uniform over a tick: (4 · tick²/12) / 4; from steps² to µs² in Q36
+            noise: (tick * tick / 12) << 20,
+            there: wire + half - 1,
+            back: wire - half - 1,
+            at: LocalTicks::ZERO,
+            peer: PeerTicks::ZERO,
+            above: 0,
+            skew: 0,
+            covariance: Covariance::apart(CAP, skew),
+            certain: Interval { lowest: i64::MIN, highest: i64::MAX },
+            drift: certain_rate(traits.rate_sigma),
+            agility_log2: 0,
+            lean: 0,
+            surprise: 0,
+            answered: PeerTicks::ZERO,
+            shortest: ShortestRoundTrip::NONE,
+            round_trip: Span::ZERO,
+            offset_steps: 0,
+            candidate: None,
+            exchanges: 0,
+            restarts: 0,
+            contradictions: 0,
+        }
+    }
+
+    /// Forgets all but its traits and its counters of faults. `hot`: a rate kept from a former run, believed to 2 ppm, one sigma.
+    pub fn restart(&mut self, hot: Option<Rate>) {
+        let (restarts, contradictions) = (self.restarts, self.contradictions);
+        *self = Self { restarts, contradictions, ..Self::new(self.traits) };
+        if let Some(rate) = hot {
+            self.skew = i64::from(rate.bits()) << 8;
+            self.covariance.skew = self.covariance.skew.min(HOT);
+            self.drift = self.certain_drift();
+        }
+    }
+
+    /// Takes one exchange.
+    ///
+    /// # Errors
+    /// What is wrong with its stamps; nothing of it is believed then. After [`RUN`] exchanges that were [`Fault::Past`] or
+    /// [`Fault::Absurd`] but agree with each other, the last starts the link anew and is accepted ([`LinkClock::restarts`]).
+    pub fn observe(&mut self, exchange: &Exchange) -> Result<(), Fault> {
+        let measured = self.measure(exchange)?;
+        if !self.is_started() {
+            self.start(exchange, &measured);
+            return Ok(());
+        }
+        if exchange.heard <= self.answered || measured.at <= self.at {
+            return self.refuse(exchange, &measured, Fault::Past);
+        }
+        let steps = measured.at.steps_after(self.at);
+        if steps > GAP_MAX {
+            self.restart(Some(self.rate()));
+            self.start(exchange, &measured);
+            return Ok(());
+        }
+        let moved = self.above + mul_shift(self.skew, steps, 24);
+        // the exchange's `heard` against the prediction, whole steps
+        let ahead = exchange.heard.steps_after(self.peer).saturating_sub(steps);
+        if distance(ahead) > OFFSET_MAX {
+            return self.refuse(exchange, &measured, Fault::Absurd);
+        }
+        let surprise = (ahead << BELOW_STEP) + measured.after_heard - moved;
+        if self.filter(steps, moved, surprise, &measured).is_none() {
+            return self.refuse(exchange, &measured, Fault::Absurd);
+        }
+        self.intersect(steps, moved, measured.certain.widened(0, (moved >> BELOW_STEP) - ahead));
+        self.at = measured.at;
+        self.accept(exchange, &measured);
+        self.offset_steps = surprise >> BELOW_STEP;
+        Ok(())
+    }
+
+    /// Whether there was an exchange at all.
+    #[must_use]
+    pub const fn is_started(&self) -> bool {
+        self.exchanges > 0
+    }
+
+    /// Exchanges accepted since the last start; stays at the largest.
+    #[must_use]
+    pub const fn exchanges(&self) -> u32 {
+        self.exchanges
+    }
+
+    /// How often a run of refused exchanges started the link anew.
+    #[must_use]
+    pub const fn restarts(&self) -> u32 {
+        self.restarts
+    }
+
+    /// How often an exchange contradicted what was held for certain: the rate changed faster than stated, or a departure was stamped
+    /// later than stated. The bound began anew from that exchange.
+    #[must_use]
+    pub const fn contradictions(&self) -> u32 {
+        self.contradictions
+    }
+
+    /// The peer's counter when one's own reads `local`.
+    #[must_use]
+    pub const fn peer_at(&self, local: LocalTicks) -> PeerTicks {
+        self.peer.shifted(forwards(self.rate(), local.steps_after(self.at)))
+    }
+
+    /// One's own counter when the peer's reads `peer`.
+    #[must_use]
+    pub const fn local_at(&self, peer: PeerTicks) -> LocalTicks {
+        self.at.shifted(backwards(self.rate(), peer.steps_after(self.peer)))
+    }
+
+    /// How much faster the peer's counter runs than one's own.
+    #[must_use]
+    pub const fn rate(&self) -> Rate {
+        Rate::saturated((self.skew + (1 << 7)) >> 8)
+    }
+
+    /// By how much the last exchange differed from what was predicted, in steps; for people.
+    #[must_use]
+    pub const fn offset_steps(&self) -> i64 {
+        self.offset_steps
+    }
+
+    /// One sigma of [`LinkClock::peer_at`]. Four products and a square root; the longest span before the first exchange.
+    #[must_use]
+    pub fn error_at(&self, local: LocalTicks) -> Span {
+        if !self.is_started() {
+            return Span::MAX;
+        }
+        let variance = match self.covariance.after(distance(local.steps_after(self.at)), self.agility()) {
+            Some(later) => later.offset,
+            // so long ago that only the rate counts
+            None => return self.bound_at(local),
+        };
+        // µs² in Q36 is µs in Q18, of which 10 bits are below a step
+        Span::from_steps((root_ceil(variance).cast_unsigned() >> 10) + 1)
+    }
+
+    /// How far [`LinkClock::peer_at`] is from the truth at most; the longest span before the first exchange.
+    #[must_use]
+    pub const fn bound_at(&self, local: LocalTicks) -> Span {
+        if !self.is_started() {
+            return Span::MAX;
+        }
+        let away = distance(local.steps_after(self.at));
+        // one for rounding of the line
+        Span::from_steps(self.certain.reach().saturating_add(self.widening(away).cast_unsigned()).saturating_add(1))
+    }
+
+    /// How fast the bound grows: six sigmas of the rate, and 0.05 ppm for what the rate may change by meanwhile.
+    #[must_use]
+    pub const fn drift(&self) -> Rate {
+        self.drift
+    }
+
+    /// Time on the way there and back in the last exchange, in the peer's units.
+    #[must_use]
+    pub const fn round_trip(&self) -> Span {
+        self.round_trip
+    }
+
+    /// The shortest of the last 512 to 1024 exchanges; zero before the first.
+    #[must_use]
+    pub fn round_trip_min(&self) -> Span {
+        if self.is_started() { Span::from_steps(self.shortest.steps().max(0).cast_unsigned()) } else { Span::ZERO }
+    }
+
+    /// The peer's line over the peer's counter, as a line over one's own, through `at`. The errors of both are independent and add as
+    /// squares; the bounds add.
+    #[must_use]
+    pub fn compose(&self, peer: &PeerEstimate, at: LocalTicks) -> Estimate {
+        let there = self.peer_at(at);
+        let since = there.steps_after(peer.at);
+        let system = peer.system.shifted(forwards(peer.rate, since));
+        let (mine, its) = (i64::from(self.rate().bits()), i64::from(peer.rate.bits()));
+        let rate = Rate::saturated(mine + its + ((mine * its) >> 32));
+        // in the peer's steps; system time's are longer or shorter by the rate
+        let bound = self.bound_at(at).steps();
+        let longer =
+            grown(Rate::from_bits(peer.rate.bits().saturating_abs()), i64::try_from(bound).unwrap_or(i64::MAX));
+        let bound = bound.saturating_add(longer).saturating_add(peer.bound.steps());
+        let bound = bound.saturating_add(grown(peer.drift, distance(since))).saturating_add(1);
+        // the peer's drift is per unit of its counter: a 16th more covers any rate there is
+        let drift = i64::from(self.drift.bits()) + i64::from(peer.drift.bits().max(0));
+        Estimate {
+            line: TimeLine { at, system, rate },
+            error: Span::from_steps(hypotenuse(self.error_at(at).steps(), peer.error.steps())),
+            bound: Span::from_steps(bound),
+            drift: Rate::saturated(drift + (drift >> 4) + 1),
+        }
+    }
+
+    /// Looks at the four stamps by themselves.
+    fn measure(&self, exchange: &Exchange) -> Result<Measured, Fault> {
+        let Exchange { sent, heard, answered, received } = *exchange;
+        if answered < heard || received < sent {
+            return Err(Fault::Order);
+        }
+        let (away, turn) = (received.since(sent).steps(), answered.since(heard).steps());
+        if away > EXCHANGE_MAX || turn > EXCHANGE_MAX {
+            return Err(Fault::Absurd);
+        }
+        let (away, turn) = (away.cast_signed(), turn.cast_signed());
+        let (rate, half) = (self.rate(), away >> 1);
+        let (tick, late) = (cut(self.traits.tick.steps(), EXCHANGE_MAX), cut(self.traits.late.steps(), EXCHANGE_MAX));
+        let (before, after) = (half + late, away - half + tick);
+        let slack = self.drift.over(before.max(after)) + 2;
+        let certain = Interval {
+            lowest: turn - late + self.back - forwards(rate, after) - slack,
+            highest: tick - self.there + forwards(rate, before) + slack,
+        };
+        if certain.lowest > certain.highest {
+            return Err(Fault::RoundTrip);
+        }
+        let odd = (away & 1) << (BELOW_STEP - 1);
+        let asymmetry = i64::from(self.traits.asymmetry_steps) << (BELOW_STEP - 1);
+        Ok(Measured {
+            at: sent.shifted(half),
+            after_heard: (turn << (BELOW_STEP - 1)) - odd - asymmetry,
+            round_trip: forwards(rate, away) - turn,
+            certain,
+        })
+    }
+
+    /// The first exchange: offset measured, skew as it was.
+    fn start(&mut self, exchange: &Exchange, measured: &Measured) {
+        let noise = self
+            .noise_of(0)
+            .saturating_add(square_q36(measured.round_trip << (BELOW_STEP - 1)).unwrap_or(CAP).min(CAP));
+        self.covariance = Covariance::apart(noise, self.covariance.skew);
+        self.at = measured.at;
+        self.peer = exchange.heard.shifted(measured.after_heard >> BELOW_STEP);
+        self.above = measured.after_heard & 0xffff;
+        self.certain = measured.certain.widened(0, measured.after_heard >> BELOW_STEP);
+        self.offset_steps = 0;
+        self.enclose();
+        self.accept(exchange, measured);
+    }
+
+    /// What every accepted exchange leaves behind.
+    fn accept(&mut self, exchange: &Exchange, measured: &Measured) {
+        self.answered = exchange.answered;
+        self.shortest.take(measured.round_trip);
+        self.round_trip = Span::from_steps(measured.round_trip.max(0).cast_unsigned());
+        self.drift = self.certain_drift();
+        self.candidate = None;
+        self.exchanges = self.exchanges.saturating_add(1);
+    }
+
+    /// Time passes, and the surprise is shared between offset and skew; `None` where it is too large, and nothing has changed then.
+    fn filter(&mut self, steps: i64, moved: i64, surprise: i64, measured: &Measured) -> Option<()> {
+        let noise = self.noise_of(self.shortest.excess(measured.round_trip));
+        let (agility, square) = (self.agility(), square_q36(surprise));
+        let (offset, skew) = if let Some(later) = self.covariance.after(steps, agility) {
+            let (sum, square) = (later.offset + noise, square?);
+            if square >> GATE_LOG2 > sum {
+                return None;
+            }
+            let gains: Gains = later.gains(noise);
+            self.covariance = later.measured(noise, gains);
+            self.tune(surprise);
+            gains.of(surprise)
+        } else {
+            // so far from the last that the two make a slope, and what was known of offset says nothing
+            let over = Reciprocal::of(steps);
+            let slope = over.times(surprise, 24);
+            let known = self.covariance.skew.saturating_add(mul_shift(agility, steps, 24));
+            if square_q36(slope)? >> GATE_LOG2 > known {
+                return None;
+            }
+            self.covariance = Covariance::of_slope(self.covariance.offset, noise, over, steps, agility);
+            (surprise, slope)
+        };
+        let limit = i64::from(certain_rate(self.traits.rate_sigma).bits()) << 8;
+        self.skew = self.skew.saturating_add(skew).clamp(-limit, limit);
+        self.above = moved + offset;
+        Some(())
+    }
+
+    /// Surprises of one sign in succession say that the filter lags, of alternating signs that it follows noise.
+    fn tune(&mut self, surprise: i64) {
+        let agrees = (surprise < 0) == (self.surprise < 0);
+        self.surprise = surprise;
+        self.lean += if agrees { 1 } else { -1 };
+        if self.lean.unsigned_abs() >= LEAN_MAX.unsigned_abs() {
+            let (lowest, highest) = AGILITY_LOG2.into_inner();
+            self.agility_log2 = (self.agility_log2 + self.lean.signum()).clamp(lowest, highest);
+            self.lean = 0;
+        }
+    }
+
+    /// What was certain before, and what the exchange says, both relative to the prediction; then the reference moves to the estimate.
+    fn intersect(&mut self, steps: i64, moved: i64, said: Interval) {
+        let before = self.certain.widened(self.widening(steps), 0);
+        let both = before.and(said).unwrap_or_else(|| {
+            self.contradictions = self.contradictions.saturating_add(1);
+            said
+        });
+        let whole = self.above >> BELOW_STEP;
+        self.certain = both.widened(0, whole - (moved >> BELOW_STEP));
+        self.peer = self.peer.shifted(steps.saturating_add(whole));
+        self.above &= 0xffff;
+        self.enclose();
+    }
+
+    /// Moves an estimate outside what is certain to its border.
+    fn enclose(&mut self) {
+        let out = if self.certain.lowest > 0 { self.certain.lowest } else { self.certain.highest.min(0) };
+        if out != 0 {
+            self.peer = self.peer.shifted(out);
+            self.above = 0;
+            self.certain = self.certain.widened(0, out);
+        }
+    }
+
+    /// An exchange that does not fit what is known, unless it is one of many that fit each other.
+    fn refuse(&mut self, exchange: &Exchange, measured: &Measured, fault: Fault) -> Result<(), Fault> {
+        let this = (measured.at, exchange.heard.shifted(measured.after_heard >> BELOW_STEP));
+        let run = match self.candidate {
+            Some(last) if agrees(last, this, self.drift, measured.round_trip) => last.run + 1,
+            _ => 1,
+        };
+        self.candidate = Some(Candidate { at: this.0, peer: this.1, run });
+        if run < RUN {
+            return Err(fault);
+        }
+        let rate = self.rate();
+        self.restarts = self.restarts.saturating_add(1);
+        self.restart(None);
+        // most likely the same crystal, but nobody said so
+        self.skew = i64::from(rate.bits()) << 8;
+        self.start(exchange, measured);
+        Ok(())
+    }
+
+    /// Variance of an exchange whose round trip is `excess` steps above the shortest.
+    fn noise_of(&self, excess: i64) -> i64 {
+        let half = (excess << (BELOW_STEP - 1)).min(1 << 40);
+        self.noise.saturating_add(square_q36(half).unwrap_or(CAP)).clamp(1, CAP)
+    }
+
+    /// How the skew walks, µs² in Q36 for a unit of time.
+    const fn agility(&self) -> i64 {
+        if self.agility_log2 < 0 { AGILITY >> self.agility_log2.unsigned_abs() } else { AGILITY << self.agility_log2 }
+    }
+
+    /// [`LinkClock::drift`], from the covariance.
+    fn certain_drift(&self) -> Rate {
+        // µs in Q18 for 2^16 µs is 2^−34
+        Rate::saturated((root_ceil(self.covariance.skew).saturating_mul(CERTAIN) >> 2) + 1).plus(FLOOR)
+    }
+
+    /// What the interval gains in `steps`, which are not negative: drift, and half of 0.02 ppm/s by the square of the time.
+    const fn widening(&self, steps: i64) -> i64 {
+        // in 2^−6 of a unit of 65.5 ms; 0.011 steps for a unit squared
+        let time = if steps > GAP_MAX { GAP_MAX >> 18 } else { steps >> 18 };
+        self.drift.over(steps).saturating_add(((time * time * 46) >> 24) + 2)
+    }
+}
+
+/// Whether two refused exchanges can be of one pair of counters.
+fn agrees(last: Candidate, (at, peer): (LocalTicks, PeerTicks), drift: Rate, round_trip: i64) -> bool {
+    let (own, its) = (at.steps_after(last.at), peer.steps_after(last.peer));
+    let allowed = drift.over(own).saturating_add(own >> 10).saturating_add(round_trip.max(0)).saturating_add(1 << 15);
+    own > 0 && its > 0 && distance(its.saturating_sub(own)) <= allowed
+}
+
+/// Variance of the skew that one sigma of the rate means: µs² in Q36 of a unit of 2^16 µs. Three in a hundred at most.
+const fn prior(sigma: Rate) -> i64 {
+    let bits = cut(sigma.bits().unsigned_abs() as u64, 1 << 27);
+    (bits * bits) << 4
+}
+
+/// Six of it, and 0.05 ppm: within that the rate certainly is before anything was measured.
+const fn certain_rate(sigma: Rate) -> Rate {
+    Rate::saturated(cut(sigma.bits().unsigned_abs() as u64, 1 << 27) * CERTAIN).plus(FLOOR)
+}
+
+/// The square of µs in Q24, as µs² in Q36; `None` from 8.2 ms on.
+fn square_q36(value: i64) -> Option<i64> {
+    let value = value >> 6;
+    (distance(value) < 1 << 31).then(|| value * value)
+}
+
+/// At most `most`, which is below 2^63.
+const fn cut(value: u64, most: u64) -> i64 {
+    if value > most { most.cast_signed() } else { value.cast_signed() }
+}
