@@ -16,9 +16,12 @@
 //! # Ok::<(), osap_protocol::discovery::Refusal>(())
 //! ```
 
+mod clock;
+
+pub use clock::{ServoKind, TIER_FREE_RUNNING, TimeAsymmetry, TimeControl, TimeLink, TimeSettings, TimeStatus};
+
 use crate::drops::DropCause;
 use crate::framing::Check;
-use postcard::fixint;
 use serde::{Deserialize, Serialize};
 
 /// Version of the bodies below; another one is refused, `[DSC-02]`.
@@ -65,11 +68,17 @@ pub enum Query {
     SetTimeControl = 10,
     /// `u8` first index → [`CounterPage`].
     Counters = 11,
+    /// Nothing → [`TimeStatus`].
+    TimeStatus = 12,
+    /// `u8` gateway → [`TimeLink`].
+    TimeLink = 13,
+    /// [`TimeAsymmetry`] → nothing.
+    SetTimeAsymmetry = 14,
 }
 
 impl Query {
     /// All of them, in the order of their keys.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 14] = [
         Self::RuntimeInfo,
         Self::TypeName,
         Self::RuntimeName,
@@ -81,6 +90,9 @@ impl Query {
         Self::TimeControl,
         Self::SetTimeControl,
         Self::Counters,
+        Self::TimeStatus,
+        Self::TimeLink,
+        Self::SetTimeAsymmetry,
     ];
 
     /// The byte that stands for it.
@@ -112,6 +124,9 @@ impl Query {
             Self::TimeControl => "time controller configuration",
             Self::SetTimeControl => "set time controller configuration",
             Self::Counters => "counters",
+            Self::TimeStatus => "time status",
+            Self::TimeLink => "time of a link",
+            Self::SetTimeAsymmetry => "set time asymmetry",
         }
     }
 }
@@ -439,6 +454,39 @@ pub enum Event {
     },
     /// A line from the application.
     Text(Text),
+    /// The node's clock changed whom it follows, or how well.
+    Clock {
+        /// How.
+        change: ClockChange,
+        /// Steps to its root now; 255 without one.
+        tier: u8,
+    },
+}
+
+/// A change of a node's clock, `[TIM-12]`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum ClockChange {
+    /// It follows another root, or is one.
+    Root,
+    /// Its time was set anew, `[TIM-10]`.
+    SetAnew,
+    /// Nothing is heard of its root any more.
+    RootLost,
+    /// Programs may rely on it from now on.
+    Settled,
+}
+
+impl ClockChange {
+    /// What it says, for people.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Root => "another root",
+            Self::SetAnew => "time set anew",
+            Self::RootLost => "root lost",
+            Self::Settled => "settled",
+        }
+    }
 }
 
 /// One entry of a node's debug ring.
@@ -461,8 +509,23 @@ pub struct DebugPage {
     pub end: u32,
     /// What is written down at present.
     pub verbosity: Verbosity,
+    /// System time against the node's own clock, where it is valid, `[TIM-15]`.
+    pub clock: Option<ClockMark>,
     /// The events.
     pub events: heapless::Vec<DebugEvent, EVENTS_A_PAGE>,
+}
+
+/// One instant by two clocks, `[TIM-15]`: makes system time of stamps near it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ClockMark {
+    /// The node's own clock, 1/256 µs.
+    pub local_steps: u64,
+    /// System time at that instant, 1/256 µs.
+    pub system_steps: u64,
+    /// Of system time against the node's own clock, parts per 10⁹.
+    pub rate_ppb: i32,
+    /// Largest possible error of the system time, 1/256 µs.
+    pub bound_steps: u32,
 }
 
 /// Answer to [`Query::Counters`], `[DSC-06]`: the counters of [`DropCause`], in order of their numbers.
@@ -474,98 +537,6 @@ pub struct CounterPage {
     pub total: u8,
     /// Their values; they stop at `u32::MAX`.
     pub values: heapless::Vec<u32, COUNTERS_A_PAGE>,
-}
-
-/// A node that is not synchronised to any other.
-pub const TIER_FREE_RUNNING: u8 = u8::MAX;
-
-/// Answer to [`Query::TimeControl`]: 61 bytes whatever the values, `[DSC-07]`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct TimeControl {
-    /// System time as this node has it, 1/256 µs.
-    #[serde(with = "fixint::le")]
-    pub system_time_steps: u64,
-    /// The node's own counter at the same instant, 1/256 µs.
-    #[serde(with = "fixint::le")]
-    pub local_ticks_steps: u64,
-    /// Time between exchanges with a neighbour, µs.
-    #[serde(with = "fixint::le")]
-    pub interval_us: u32,
-    /// Offset to the best neighbour, 1/256 µs.
-    #[serde(with = "fixint::le")]
-    pub offset_steps: i32,
-    /// Rate against the root, parts per 10⁹.
-    #[serde(with = "fixint::le")]
-    pub skew_ppb: i32,
-    /// Largest possible error of the system time, 1/256 µs; negative where none can be given.
-    #[serde(with = "fixint::le")]
-    pub bound_steps: i32,
-    /// Last round trip to the best neighbour, 1/256 µs.
-    #[serde(with = "fixint::le")]
-    pub round_trip_steps: i32,
-    /// Least round trip seen, 1/256 µs.
-    #[serde(with = "fixint::le")]
-    pub round_trip_min_steps: i32,
-    /// See [`TimeSettings`].
-    #[serde(with = "fixint::le")]
-    pub filter_q16: i32,
-    /// See [`TimeSettings`].
-    #[serde(with = "fixint::le")]
-    pub proportional_q16: i32,
-    /// See [`TimeSettings`].
-    #[serde(with = "fixint::le")]
-    pub integral_q16: i32,
-    /// See [`TimeSettings`].
-    #[serde(with = "fixint::le")]
-    pub skew_limit_ppb: i32,
-    /// See [`TimeSettings`].
-    #[serde(with = "fixint::le")]
-    pub gate_steps: i32,
-    /// Steps from the root; [`TIER_FREE_RUNNING`] without one.
-    pub tier: u8,
-}
-
-impl TimeControl {
-    /// As [`encode`], which is generic and so compiled where it is used: clocks are compared by this answer, and it is to be made at the
-    /// speed that this crate is compiled for.
-    ///
-    /// # Errors
-    /// [`Refusal::TooLong`] where it does not fit.
-    #[inline(never)]
-    pub fn encode(&self, out: &mut [u8]) -> Result<usize, Refusal> {
-        encode(Query::TimeControl.key(), self, out)
-    }
-}
-
-/// Body of [`Query::SetTimeControl`]: the parameters that may be tuned.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct TimeSettings {
-    /// Time between exchanges with a neighbour, µs: 1,000 to 10,000,000.
-    pub interval_us: u32,
-    /// Weight of a new offset in the average, 1/65,536: 1 to 65,536.
-    pub filter_q16: i32,
-    /// Proportional gain, 1/65,536: 0 to 2^24.
-    pub proportional_q16: i32,
-    /// Integral gain, 1/65,536: 0 to 2^24.
-    pub integral_q16: i32,
-    /// Most the rate may be shimmed, parts per 10⁹: 0 to 20,000,000.
-    pub skew_limit_ppb: i32,
-    /// Offsets further off than this are not believed, 1/256 µs: at least 0.
-    pub gate_steps: i32,
-}
-
-impl TimeSettings {
-    /// Whether every value is in its range.
-    #[must_use]
-    pub fn in_range(&self) -> bool {
-        const GAIN_MAX: i32 = 1 << 24;
-        (1_000..=10_000_000).contains(&self.interval_us)
-            && (1..=65_536).contains(&self.filter_q16)
-            && (0..=GAIN_MAX).contains(&self.proportional_q16)
-            && (0..=GAIN_MAX).contains(&self.integral_q16)
-            && (0..=20_000_000).contains(&self.skew_limit_ppb)
-            && self.gate_steps >= 0
-    }
 }
 
 #[cfg(test)]
@@ -597,7 +568,7 @@ mod tests {
         out[1] = 2;
         assert_eq!(decode(&out[..len]).unwrap_err(), Refusal::Version);
         assert_eq!(Query::from_key(0), Err(Refusal::UnknownKey));
-        assert_eq!(Query::from_key(12), Err(Refusal::UnknownKey));
+        assert_eq!(Query::from_key(15), Err(Refusal::UnknownKey));
         assert_eq!(check_query(&[1]), Err(DropCause::QueryMalformed));
     }
 
@@ -612,6 +583,12 @@ mod tests {
             next: u32::MAX,
             end: u32::MAX,
             verbosity: Verbosity::Packets,
+            clock: Some(ClockMark {
+                local_steps: u64::MAX,
+                system_steps: u64::MAX,
+                rate_ppb: i32::MIN,
+                bound_steps: u32::MAX,
+            }),
             events: core::iter::repeat_n(event, EVENTS_A_PAGE).collect(),
         };
         let neighbour = Neighbour { unique_id: UniqueId([255; 12]), boot_epoch: u32::MAX, gateway: 63 };

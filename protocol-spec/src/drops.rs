@@ -101,6 +101,14 @@ drop_causes! {
     SendRefused = "send-refused",
     /// A peer beyond loopback did not have the key.
     PeerRefused = "peer-refused",
+    /// A time reply that nobody asked for, or asked too long ago.
+    TimeUnasked = "time-unasked",
+    /// A time reply whose stamps are from the past or contradict each other.
+    TimeOrder = "time-order",
+    /// A time reply too far off from what is known.
+    TimeAbsurd = "time-absurd",
+    /// A time reply whose sender cannot have the tier or the root that it says.
+    TimeTier = "time-tier",
 }
 
 impl DropCause {

@@ -14,6 +14,7 @@ pub mod framing;
 pub mod header;
 pub mod route;
 pub mod system;
+pub mod time;
 pub mod transport;
 pub mod ttl;
 

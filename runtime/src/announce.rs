@@ -43,7 +43,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         let len = at + announcement.encode(out.get_mut(at..)?).ok()?;
         gateway.announced_last = true;
         gateway.sent = gateway.sent.wrapping_add(1);
-        Some(Outgoing { len, to })
+        Some(Outgoing { len, to, is_stamped: false })
     }
 
     /// Takes a neighbour's announcement; `theirs` is its own gateway index, which stood in the step it used, `[SYS-04]`.
@@ -91,6 +91,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
     fn note_change(&mut self, index: GatewayIndex, change: NeighbourChange, now: LocalTicks) {
         self.topology_generation = self.topology_generation.wrapping_add(1);
         self.gateways[index.at()].change = Some(change);
+        self.time_of_neighbour(index, now);
         self.debug.record(Verbosity::Events, now, || Event::Neighbour { gateway: index.get(), change });
     }
 }

@@ -1,12 +1,20 @@
-//! The node's time controller: its settings, and what it can say of system time.
+//! The node's clock: which root it follows, what it makes of its neighbours' answers, and the map from its counter to system time.
 //!
-//! - **Walk:** queries 9 and 10. **Invariant:** settings are within their ranges, whatever is asked.
-//! - **Clauses:** `[DSC-02]`, `[DSC-07]`.
-//!
-//! Until clocks are disciplined a node says so: its tier is [`TIER_FREE_RUNNING`] and it gives no bound.
+//! - **Walk:** an accepted time reply → [`Clock::follow`] → the map; [`Clock::reply`] tells neighbours; queries 9, 10, 12.
+//! - **Invariants:** the counter is never disciplined. What was settled and is live is never stepped. The bound counts what is
+//!   not slewed yet. Settings are within their ranges, whatever is asked.
+//! - **Context:** the node's; a few products and divisions of 64 bits an accepted reply, at most 200 a second and link.
+//! - **Clauses:** `[TIM-07]` to `[TIM-11]`, `[TIM-14]`, `[DSC-02]`, `[DSC-07]`.
 
-use fixed_math::time::LocalTicks;
-use osap_protocol::discovery::{Refusal, TIER_FREE_RUNNING, TimeControl, TimeSettings};
+use crate::gateway::Gateway;
+use crate::peer::Owed;
+use fixed_math::clock::{Diffusion, Estimate, Follow, Gains, Neighbour, Oldest, Servo, SlewedMap, TimeLine};
+use fixed_math::time::{LocalTicks, NetTime, Rate, Span};
+use osap_protocol::GatewayIndex;
+use osap_protocol::discovery::{
+    ClockMark, Refusal, ServoKind, TIER_FREE_RUNNING, TimeControl, TimeSettings, TimeStatus, UniqueId,
+};
+use osap_protocol::time::{NO_BOUND, PRIORITY_DEVICE, PRIORITY_NEVER, Root, TIER_MAX, TimeReply, UnixOffset};
 
 /// Settings of a new node: the thesis's 50 ms between exchanges, a quarter of each new offset into the average.
 pub const DEFAULT_SETTINGS: TimeSettings = TimeSettings {
@@ -16,19 +24,132 @@ pub const DEFAULT_SETTINGS: TimeSettings = TimeSettings {
     integral_q16: 655,
     skew_limit_ppb: 500_000,
     gate_steps: 256 * 10_000,
+    servo: ServoKind::Estimator,
+    priority: PRIORITY_DEVICE,
 };
 
-/// A node's time controller.
-#[derive(Clone, Copy, Debug)]
+/// Age of news of a root after which they are none, µs, `[TIM-08]`; eight intervals where those are longer.
+pub const AGE_MAX_US: u64 = 3_000_000;
+/// How much older a root's time must be to go before another, µs, `[TIM-07]`.
+pub const AGE_MARGIN_US: u64 = 1_000;
+/// What is further off may be set anew where nothing is live, µs, `[TIM-10]`.
+pub const STEP_MIN_US: u64 = 1_000;
+/// How long a node is a root before its programs may rely on its time, µs: others are heard by then.
+pub const ROOT_SETTLE_US: u64 = 250_000;
+/// Exchanges with a source after which a node is settled.
+pub const SETTLE_EXCHANGES: u32 = 16;
+/// Most neighbours that are looked at together.
+const NEIGHBOURS_MAX: usize = 8;
+/// Offset by which a clock is older that is adopted, `[TIM-11]`.
+const ADOPT: Span = Span::from_us(1_000);
+
+/// System time, and how good it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SystemTime {
+    /// The time.
+    pub at: NetTime,
+    /// Its greatest possible error; `None` where none can be given.
+    pub bound: Option<Span>,
+    /// Programs may rely on it.
+    pub is_settled: bool,
+}
+
+/// The servo in use.
+#[derive(Debug)]
+enum Steering {
+    Estimator(Follow),
+    Diffusion(Diffusion),
+    Oldest(Oldest),
+}
+
+impl Steering {
+    fn of(kind: ServoKind) -> Self {
+        match kind {
+            ServoKind::Estimator => Self::Estimator(Follow),
+            ServoKind::Diffusion => Self::Diffusion(Diffusion::default()),
+            ServoKind::Oldest => Self::Oldest(Oldest::default()),
+        }
+    }
+
+    fn servo(&mut self) -> &mut dyn Servo {
+        match self {
+            Self::Estimator(servo) => servo,
+            Self::Diffusion(servo) => servo,
+            Self::Oldest(servo) => servo,
+        }
+    }
+}
+
+/// What changed with a call of [`Clock::follow`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Changes {
+    /// Another root.
+    pub(crate) root: bool,
+    /// Time was set anew, by so much.
+    pub(crate) stepped: Option<i64>,
+    /// The last root was lost.
+    pub(crate) lost: bool,
+}
+
+/// A node's clock.
+#[derive(Debug)]
 pub struct Clock {
     settings: TimeSettings,
+    me: UniqueId,
+    steering: Steering,
+    map: SlewedMap,
+    /// Time as it should be, which is what neighbours are told.
+    estimate: Estimate,
+    tier: u8,
+    root: Root,
+    sources: u64,
+    /// Age of the news of the root, µs, and when that was.
+    news: (u32, LocalTicks),
+    /// Since when this node is root, or follows one.
+    since: LocalTicks,
+    unix: Option<UnixOffset>,
+    unix_from: Option<GatewayIndex>,
+    is_settled: bool,
+    is_live: bool,
+    steps: u16,
+    root_changes: u16,
+    dither: u32,
+    /// The settings were changed and nobody has kept them yet.
+    pub(crate) is_changed: bool,
 }
 
 impl Clock {
-    /// Free running, with [`DEFAULT_SETTINGS`].
+    /// The root of its own time, which is its counter's.
     #[must_use]
-    pub const fn new() -> Self {
-        Self { settings: DEFAULT_SETTINGS }
+    pub fn new(me: UniqueId) -> Self {
+        let line = TimeLine { at: LocalTicks::ZERO, system: NetTime::ZERO, rate: Rate::ZERO };
+        let seed = me.0.iter().fold(0x811c_9dc5_u32, |hash, byte| (hash ^ u32::from(*byte)).wrapping_mul(0x0100_0193));
+        Self {
+            settings: DEFAULT_SETTINGS,
+            me,
+            steering: Steering::of(DEFAULT_SETTINGS.servo),
+            map: SlewedMap::new(line),
+            estimate: own(line),
+            tier: 0,
+            root: Root { priority: DEFAULT_SETTINGS.priority, unique_id: me },
+            sources: 0,
+            news: (0, LocalTicks::ZERO),
+            since: LocalTicks::ZERO,
+            unix: None,
+            unix_from: None,
+            is_settled: false,
+            is_live: false,
+            steps: 0,
+            root_changes: 0,
+            dither: seed,
+            is_changed: false,
+        }
+    }
+
+    /// Its settings.
+    #[must_use]
+    pub const fn settings(&self) -> TimeSettings {
+        self.settings
     }
 
     /// Takes new settings.
@@ -36,62 +157,419 @@ impl Clock {
     /// # Errors
     /// [`Refusal::Range`] where one is outside its range; nothing is changed then.
     pub fn set(&mut self, settings: TimeSettings) -> Result<(), Refusal> {
-        if settings.in_range() {
-            self.settings = settings;
-            Ok(())
+        if !settings.in_range() {
+            return Err(Refusal::Range);
+        }
+        if settings.servo != self.settings.servo {
+            self.steering = Steering::of(settings.servo);
+        }
+        self.is_changed |= settings != self.settings;
+        self.settings = settings;
+        if self.tier == 0 {
+            self.root.priority = settings.priority;
+            if settings.priority == PRIORITY_NEVER {
+                self.tier = TIER_FREE_RUNNING;
+                self.is_settled = false;
+            }
+        } else if self.tier == TIER_FREE_RUNNING && settings.priority != PRIORITY_NEVER {
+            self.tier = 0;
+            self.root = Root { priority: settings.priority, unique_id: self.me };
+        }
+        Ok(())
+    }
+
+    /// System time at `local`, its bound as of then.
+    #[must_use]
+    pub fn system_time(&self, local: LocalTicks) -> SystemTime {
+        SystemTime { at: self.map.system_at(local), bound: self.bound_at(local), is_settled: self.is_settled }
+    }
+
+    /// The map from the counter to system time.
+    #[must_use]
+    pub const fn map(&self) -> &SlewedMap {
+        &self.map
+    }
+
+    /// Programs may rely on system time.
+    #[must_use]
+    pub const fn is_settled(&self) -> bool {
+        self.is_settled
+    }
+
+    /// Steps to the root.
+    #[must_use]
+    pub const fn tier(&self) -> u8 {
+        self.tier
+    }
+
+    /// Says whether something runs by system time now, so that it may not be stepped, `[TIM-10]`.
+    pub const fn set_live(&mut self, is_live: bool) {
+        self.is_live = is_live;
+    }
+
+    /// Offers UNIX time, as a host knows it at `now`, µs since 1970, `[TIM-14]`.
+    pub fn offer_unix(&mut self, unix_us: i64, now: LocalTicks) {
+        let system_us = self.map.system_at(now).as_us().cast_signed();
+        self.unix = Some(UnixOffset { offset_us: unix_us.saturating_sub(system_us), hops: 0 });
+        self.unix_from = None;
+    }
+
+    /// UNIX time less system time, µs, where a host offered it.
+    #[must_use]
+    pub fn unix_offset_us(&self) -> Option<i64> {
+        self.unix.map(|unix| unix.offset_us)
+    }
+
+    /// The greatest possible error at `local`, `[TIM-09]`.
+    #[must_use]
+    pub fn bound_at(&self, local: LocalTicks) -> Option<Span> {
+        if self.tier == TIER_FREE_RUNNING {
+            return None;
+        }
+        let off = self.map.system_at(local).steps_after(self.estimate.line.system_at(local)).unsigned_abs();
+        Some(self.estimate.bound_at(local) + Span::from_steps(off))
+            .filter(|bound| *bound < Span::from_steps(NO_BOUND.into()))
+    }
+
+    /// A number that is another one each time.
+    pub(crate) fn draw(&mut self) -> u32 {
+        // xorshift32, whose state may not be zero
+        self.dither ^= self.dither << 13;
+        self.dither ^= self.dither >> 17;
+        self.dither ^= self.dither << 5;
+        self.dither = self.dither.max(1);
+        self.dither
+    }
+
+    pub(crate) fn interval_us(&self) -> u64 {
+        u64::from(self.settings.interval_us)
+    }
+
+    /// Age of news of a root after which they are none, µs.
+    fn age_max_us(&self) -> u64 {
+        AGE_MAX_US.max(8 * self.interval_us())
+    }
+
+    /// Whether a gateway's neighbour is asked at the full rate.
+    pub(crate) fn is_near_source(&self, gateway: &Gateway) -> bool {
+        let tier = gateway.peer.said.map_or(0, |said| said.tier);
+        // whoever averages needs all
+        self.settings.servo == ServoKind::Oldest || tier < self.tier
+    }
+
+    /// When there is something to do though nothing comes: news grow too old, or a root is settled.
+    pub(crate) fn next_wake(&self) -> Option<LocalTicks> {
+        if self.tier == 0 || self.tier == TIER_FREE_RUNNING {
+            (!self.is_settled && self.tier == 0).then(|| self.since + Span::from_us(ROOT_SETTLE_US))
         } else {
-            Err(Refusal::Range)
+            let (age_us, at) = self.news;
+            let left_us = self.age_max_us().saturating_sub(u64::from(age_us));
+            Some(at + Span::from_us(left_us) + Span::from_us(1))
         }
     }
 
-    /// All that is known at `now`.
-    #[must_use]
-    pub fn control(&self, now: LocalTicks) -> TimeControl {
-        let TimeSettings { interval_us, filter_q16, proportional_q16, integral_q16, skew_limit_ppb, gate_steps } =
+    /// The answer to a request, as of its arrival, `[TIM-02]`.
+    pub(crate) fn reply(&self, owed: Owed, index: GatewayIndex, tick: Span) -> TimeReply {
+        let Owed { sequence, asked_slot, heard } = owed;
+        let follows = self.settings.servo == ServoKind::Estimator;
+        let (system, rate) = if follows {
+            (self.estimate.line.system_at(heard), self.estimate.line.rate)
+        } else {
+            (self.map.system_at(heard), self.map.rate_at(heard))
+        };
+        let bound = if follows { Some(self.estimate.bound_at(heard)) } else { self.bound_at(heard) };
+        let (age_us, news_at) = self.news;
+        let age_us = if self.tier == 0 { 0 } else { u64::from(age_us) + heard.since(news_at).as_us_ceil() };
+        TimeReply {
+            sequence,
+            asked_slot,
+            heard: fixed_math::time::PeerTicks::from_steps(heard.steps()),
+            system,
+            rate,
+            error_steps: cut(self.estimate.error.steps()),
+            bound_steps: bound.map_or(NO_BOUND, |bound| cut(bound.steps())),
+            drift_bits: self.estimate.drift.bits().unsigned_abs(),
+            age_us: cut(age_us),
+            tick_steps: u16::try_from(tick.steps()).unwrap_or(u16::MAX),
+            tier: self.tier,
+            root: self.root,
+            is_yours: self.sources & 1 << index.get() != 0,
+            is_settled: self.is_settled,
+            unix: self.unix.filter(|_| self.unix_from != Some(index)),
+            answered_slot: 0,
+        }
+    }
+
+    /// Chooses root and sources and steers the map by them: after each accepted reply, and when [`Clock::next_wake`] has come.
+    pub(crate) fn follow(&mut self, gateways: &[Gateway], now: LocalTicks) -> Changes {
+        let was = (self.root.unique_id, self.tier);
+        let mut changes = Changes::default();
+        match self.choose(gateways, now) {
+            Some((root, tier)) => self.follow_root(gateways, root, tier, now, &mut changes),
+            None => {
+                changes.lost = self.tier != 0 && self.tier != TIER_FREE_RUNNING;
+                self.be_root(gateways, now);
+            }
+        }
+        if self.root.unique_id != was.0 || (self.tier == TIER_FREE_RUNNING) != (was.1 == TIER_FREE_RUNNING) {
+            self.root_changes = self.root_changes.saturating_add(1);
+            changes.root = true;
+        }
+        self.take_unix(gateways);
+        changes
+    }
+
+    /// Who is to be followed, and the tier of who is nearest to it; `None` to be root, or nobody's, `[TIM-07]`.
+    fn choose(&self, gateways: &[Gateway], now: LocalTicks) -> Option<(Root, u8)> {
+        let mut lead: Option<Claim> = None;
+        for (gateway, _) in self.candidates(gateways, now) {
+            let (Some(said), Some(estimate)) = (gateway.peer.said, gateway.peer.estimate(now)) else { continue };
+            let claim = Claim { root: said.root, system: estimate.line.system_at(now), tier: said.tier };
+            lead = Some(match lead {
+                Some(other) if other.root.unique_id == claim.root.unique_id => {
+                    Claim { tier: other.tier.min(claim.tier), ..other }
+                }
+                Some(other) if other.goes_before(&claim) => other,
+                _ => claim,
+            });
+        }
+        let lead = lead?;
+        let mine = Root { priority: self.settings.priority, unique_id: self.me };
+        let stays = self.settings.priority != PRIORITY_NEVER
+            && if self.tier == 0 {
+                let mine = Claim { root: mine, system: self.map.system_at(now), tier: 0 };
+                !lead.goes_before(&mine)
+            } else {
+                mine.priority < lead.root.priority
+            };
+        (!stays).then_some((lead.root, lead.tier))
+    }
+
+    /// Gateways whose neighbours may be followed, with their indices, `[TIM-08]`.
+    fn candidates<'a>(&self, gateways: &'a [Gateway], now: LocalTicks) -> impl Iterator<Item = (&'a Gateway, u8)> {
+        let (me, age_max_us) = (self.me, self.age_max_us());
+        let ends = gateways.iter().zip(0u8..);
+        ends.filter(move |(gateway, _)| {
+            gateway.peer.said.is_some_and(|said| {
+                let has_root = said.tier < TIER_MAX && said.root.unique_id != me;
+                has_root && !said.is_yours && said.age_us(now) <= age_max_us
+            })
+        })
+    }
+
+    fn follow_root(&mut self, gateways: &[Gateway], root: Root, tier: u8, now: LocalTicks, changes: &mut Changes) {
+        let is_source = |gateway: &Gateway| {
+            gateway.peer.said.is_some_and(|said| said.tier == tier && said.root.unique_id == root.unique_id)
+        };
+        let mut sources = 0u64;
+        let (mut age_us, mut exchanges, mut is_settled) = (u64::MAX, u32::MAX, false);
+        for (gateway, index) in self.candidates(gateways, now).filter(|(gateway, _)| is_source(gateway)) {
+            let Some(said) = gateway.peer.said else { continue };
+            sources |= 1 << index;
+            age_us = age_us.min(said.age_us(now));
+            exchanges = exchanges.min(gateway.peer.link.exchanges());
+            is_settled |= said.is_settled;
+        }
+        let of_sources = gateways.iter().zip(0u8..).filter(|(_, index)| sources & 1 << index != 0);
+        let Some(estimate) = Estimate::mean(of_sources.filter_map(|(gateway, _)| gateway.peer.estimate(now)), now)
+        else {
+            return;
+        };
+        if self.tier == 0 || self.tier == TIER_FREE_RUNNING || self.root.unique_id != root.unique_id {
+            self.since = now;
+        }
+        self.estimate = estimate;
+        self.sources = sources;
+        self.tier = tier + 1;
+        self.root = root;
+        self.news = (cut(age_us), now);
+        self.steer(gateways, now, changes);
+        self.is_settled |= is_settled && exchanges >= SETTLE_EXCHANGES;
+    }
+
+    /// Brings the map towards the estimate, `[TIM-10]`, `[TIM-11]`.
+    fn steer(&mut self, gateways: &[Gateway], now: LocalTicks, changes: &mut Changes) {
+        let behind = self.estimate.line.system_at(now).steps_after(self.map.system_at(now));
+        let is_far = behind.unsigned_abs() > Span::from_us(STEP_MIN_US).steps();
+        let follows = self.settings.servo == ServoKind::Estimator;
+        if (!self.is_settled && (follows || is_far)) || (is_far && !self.is_live) {
+            self.map.step_to(self.estimate.line);
+            self.steering.servo().restart();
+            if is_far {
+                self.steps = self.steps.saturating_add(1);
+                self.is_settled = false;
+                self.forget_unix();
+                changes.stepped = Some(behind);
+            }
+            return;
+        }
+        self.run_servo(gateways, now);
+    }
+
+    fn run_servo(&mut self, gateways: &[Gateway], now: LocalTicks) {
+        let all = self.settings.servo == ServoKind::Oldest;
+        let mut neighbours = heapless::Vec::<Neighbour, NEIGHBOURS_MAX>::new();
+        for (gateway, index) in gateways.iter().zip(0u8..) {
+            let peer = &gateway.peer;
+            let (Some(said), Some(estimate)) = (peer.said, peer.estimate(now)) else { continue };
+            if (all && said.tier < TIER_MAX) || self.sources & 1 << index != 0 {
+                let (offset_steps, filtered) = (peer.offset_steps, peer.filtered_steps);
+                let filtered_steps = filtered.unwrap_or(offset_steps);
+                let _no_more = neighbours.push(Neighbour { tier: said.tier, offset_steps, filtered_steps, estimate });
+            }
+        }
+        let TimeSettings { interval_us, filter_q16, proportional_q16, integral_q16, skew_limit_ppb, .. } =
             self.settings;
+        let gains = Gains {
+            interval: Span::from_us(interval_us.into()),
+            filter_q16,
+            proportional_q16,
+            integral_q16,
+            limit: Rate::from_ppb(skew_limit_ppb),
+            adopt_steps: if self.is_live { i64::MAX } else { ADOPT.steps().cast_signed() },
+        };
+        self.steering.servo().steer(now, &neighbours, &gains, &mut self.map);
+    }
+
+    /// Goes on as root from where it is, or as nobody's.
+    fn be_root(&mut self, gateways: &[Gateway], now: LocalTicks) {
+        let is_root = self.settings.priority != PRIORITY_NEVER;
+        if self.tier != 0 && self.tier != TIER_FREE_RUNNING {
+            let line = TimeLine { at: now, system: self.estimate.line.system_at(now), rate: self.estimate.line.rate };
+            if is_root {
+                self.estimate = own(line);
+            }
+            self.since = now;
+        }
+        self.sources = 0;
+        self.tier = if is_root { 0 } else { TIER_FREE_RUNNING };
+        self.root = Root { priority: self.settings.priority, unique_id: self.me };
+        self.news = (0, now);
+        if self.settings.servo == ServoKind::Oldest {
+            self.run_servo(gateways, now);
+            self.estimate = own(TimeLine { at: now, system: self.map.system_at(now), rate: self.map.rate_at(now) });
+        }
+        self.is_settled = is_root && (self.is_settled || now.since(self.since) >= Span::from_us(ROOT_SETTLE_US));
+    }
+
+    /// Takes UNIX time from where it came from before, or from who is nearer to a host, `[TIM-14]`.
+    fn take_unix(&mut self, gateways: &[Gateway]) {
+        for (gateway, index) in gateways.iter().zip(0u8..) {
+            let Some(said) = gateway.peer.said.filter(|said| said.root.unique_id == self.root.unique_id) else {
+                continue;
+            };
+            let Some(UnixOffset { offset_us, hops }) = said.unix else { continue };
+            let from = GatewayIndex::new(index);
+            let is_nearer = self.unix.is_none_or(|unix| hops.saturating_add(1) < unix.hops);
+            if is_nearer || (self.unix_from == from && from.is_some()) {
+                self.unix = Some(UnixOffset { offset_us, hops: hops.saturating_add(1) });
+                self.unix_from = from;
+            }
+        }
+    }
+
+    const fn forget_unix(&mut self) {
+        self.unix = None;
+        self.unix_from = None;
+    }
+
+    /// All that query 9 tells, at `now`.
+    #[must_use]
+    pub(crate) fn control(&self, gateways: &[Gateway], now: LocalTicks) -> TimeControl {
+        let TimeSettings {
+            interval_us, filter_q16, proportional_q16, integral_q16, skew_limit_ppb, gate_steps, ..
+        } = self.settings;
+        let source = gateways.get(self.sources.trailing_zeros() as usize).map(|gateway| &gateway.peer);
         TimeControl {
-            system_time_steps: now.steps(),
+            system_time_steps: self.map.system_at(now).steps(),
             local_ticks_steps: now.steps(),
             interval_us,
-            offset_steps: 0,
-            skew_ppb: 0,
-            bound_steps: -1,
-            round_trip_steps: 0,
-            round_trip_min_steps: 0,
+            offset_steps: source.map_or(0, |peer| clamp(peer.offset_steps)),
+            skew_ppb: self.map.rate_at(now).ppb(),
+            bound_steps: self.bound_at(now).map_or(-1, |bound| clamp(bound.steps().cast_signed())),
+            round_trip_steps: source.map_or(0, |peer| clamp(peer.link.round_trip().steps().cast_signed())),
+            round_trip_min_steps: source.map_or(0, |peer| clamp(peer.link.round_trip_min().steps().cast_signed())),
             filter_q16,
             proportional_q16,
             integral_q16,
             skew_limit_ppb,
             gate_steps,
-            tier: TIER_FREE_RUNNING,
+            tier: self.tier,
         }
+    }
+
+    /// All that query 12 tells, at `now`, `[TIM-12]`.
+    #[must_use]
+    pub(crate) fn status(&self, now: LocalTicks) -> TimeStatus {
+        let (age_us, at) = self.news;
+        TimeStatus {
+            settings: self.settings,
+            tier: self.tier,
+            root_priority: self.root.priority,
+            root: self.root.unique_id,
+            is_settled: self.is_settled,
+            is_live: self.is_live,
+            sources: self.sources,
+            error_steps: cut(self.estimate.error.steps()),
+            drift_ppb: self.estimate.drift.ppb().unsigned_abs(),
+            behind_steps: self.estimate.line.system_at(now).steps_after(self.map.system_at(now)),
+            age_us: if self.tier == 0 { 0 } else { cut(u64::from(age_us) + now.since(at).as_us_ceil()) },
+            unix_offset_us: self.unix_offset_us(),
+            steps: self.steps,
+            root_changes: self.root_changes,
+        }
+    }
+
+    /// Both clocks at `now`, where time is settled, `[TIM-15]`.
+    #[must_use]
+    pub(crate) fn mark(&self, now: LocalTicks) -> Option<ClockMark> {
+        let bound = self.bound_at(now).filter(|_| self.is_settled)?;
+        Some(ClockMark {
+            local_steps: now.steps(),
+            system_steps: self.map.system_at(now).steps(),
+            rate_ppb: self.map.rate_at(now).ppb(),
+            bound_steps: cut(bound.steps()),
+        })
+    }
+
+    /// Whether an offset to system time is too far off to be believed, `[TIM-06]`.
+    pub(crate) fn is_absurd(&self, offset_steps: i64, root: UniqueId) -> bool {
+        let gate = u64::from(self.settings.gate_steps.unsigned_abs());
+        self.is_settled && self.tier != 0 && root == self.root.unique_id && offset_steps.unsigned_abs() > gate
     }
 }
 
-impl Default for Clock {
-    fn default() -> Self {
-        Self::new()
+/// A root's own time: no error and no bound but those of others.
+const fn own(line: TimeLine) -> Estimate {
+    Estimate { line, error: Span::ZERO, bound: Span::ZERO, drift: Rate::ZERO }
+}
+
+/// A timescale that may be followed.
+#[derive(Clone, Copy, Debug)]
+struct Claim {
+    root: Root,
+    system: NetTime,
+    tier: u8,
+}
+
+impl Claim {
+    /// `[TIM-07]`
+    fn goes_before(&self, other: &Self) -> bool {
+        if self.root.priority != other.root.priority {
+            return self.root.priority < other.root.priority;
+        }
+        let older = self.system.steps_after(other.system);
+        if older.unsigned_abs() > Span::from_us(AGE_MARGIN_US).steps() {
+            return older > 0;
+        }
+        self.root.unique_id < other.root.unique_id
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
+fn cut(value: u64) -> u32 {
+    u32::try_from(value).unwrap_or(u32::MAX)
+}
 
-    /// `[DSC-02]`: out of range is refused and changes nothing.
-    #[test]
-    fn settings_out_of_range_change_nothing() {
-        let mut clock = Clock::new();
-        for bad in [
-            TimeSettings { interval_us: 999, ..DEFAULT_SETTINGS },
-            TimeSettings { filter_q16: 0, ..DEFAULT_SETTINGS },
-            TimeSettings { skew_limit_ppb: -1, ..DEFAULT_SETTINGS },
-            TimeSettings { gate_steps: -1, ..DEFAULT_SETTINGS },
-        ] {
-            assert_eq!(clock.set(bad), Err(Refusal::Range));
-            assert_eq!(clock.control(LocalTicks::ZERO).interval_us, DEFAULT_SETTINGS.interval_us);
-        }
-        clock.set(TimeSettings { interval_us: 10_000, ..DEFAULT_SETTINGS }).unwrap();
-        assert_eq!(clock.control(LocalTicks::ZERO).interval_us, 10_000);
-    }
+fn clamp(value: i64) -> i32 {
+    i32::try_from(value).unwrap_or(if value < 0 { i32::MIN } else { i32::MAX })
 }

@@ -6,7 +6,7 @@
 //! - **Clauses:** `[NOD-09]` drops as events, `[DSC-06]` pages.
 
 use fixed_math::time::LocalTicks;
-use osap_protocol::discovery::{DebugEvent, DebugPage, Event, Verbosity};
+use osap_protocol::discovery::{ClockMark, DebugEvent, DebugPage, Event, Verbosity};
 
 /// Events kept.
 pub const DEBUG_EVENTS: usize = 16;
@@ -59,9 +59,9 @@ impl DebugRing {
         self.end
     }
 
-    /// Events from number `cursor` on, or from the oldest kept where that is gone or yet to come.
+    /// Events from number `cursor` on, or from the oldest kept where that is gone or yet to come; `clock` makes system time of their stamps.
     #[must_use]
-    pub fn page(&self, cursor: u32) -> DebugPage {
+    pub fn page(&self, cursor: u32, clock: Option<ClockMark>) -> DebugPage {
         let kept = u32::try_from(self.events.len()).unwrap_or(u32::MAX);
         let behind = self.end.wrapping_sub(cursor).min(kept);
         let first = self.end.wrapping_sub(behind);
@@ -73,7 +73,7 @@ impl DebugRing {
             }
         }
         let count = u32::try_from(events.len()).unwrap_or(0);
-        DebugPage { first, next: first.wrapping_add(count), end: self.end, verbosity: self.verbosity, events }
+        DebugPage { first, next: first.wrapping_add(count), end: self.end, verbosity: self.verbosity, clock, events }
     }
 }
 
@@ -102,7 +102,7 @@ mod tests {
         let mut cursor = 0;
         let mut expected = 4; // sixteen of twenty are kept
         while cursor != ring.end() {
-            let page = ring.page(cursor);
+            let page = ring.page(cursor, None);
             assert_eq!(page.first, u32::from(expected));
             for event in &page.events {
                 assert_eq!(event.event, opened(expected));
@@ -111,8 +111,8 @@ mod tests {
             cursor = page.next;
         }
         assert_eq!(expected, 20);
-        assert!(ring.page(20).events.is_empty());
-        assert_eq!(ring.page(5).events.len(), EVENTS_A_PAGE);
+        assert!(ring.page(20, None).events.is_empty());
+        assert_eq!(ring.page(5, None).events.len(), EVENTS_A_PAGE);
     }
 
     #[test]

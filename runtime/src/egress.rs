@@ -4,6 +4,7 @@
 //! - **Invariant:** what leaves still has time to live when its last byte arrives.
 //! - **Clauses:** `[PKT-10]`, `[PKT-12]`, `[SYS-03]`, `[NOD-06]`.
 
+use crate::exchange::TIME_BYTES_MAX;
 use crate::node::{MTU_BYTES_MIN, Node};
 use crate::pool::Taker;
 use fixed_math::time::LocalTicks;
@@ -18,6 +19,19 @@ pub struct Outgoing {
     pub len: usize,
     /// On a bus, the drop that shall take it, 255 for all.
     pub to: Option<BusDrop>,
+    /// It ends in a stamp slot, `[TIM-03]`, with the instant it was made for: who knows better when its first byte leaves writes that.
+    pub is_stamped: bool,
+}
+
+/// A packet that is about to leave.
+#[derive(Debug)]
+pub struct Departure<'a> {
+    /// All of it.
+    pub packet: &'a mut [u8],
+    /// As [`Outgoing::to`].
+    pub to: Option<BusDrop>,
+    /// As [`Outgoing::is_stamped`].
+    pub is_stamped: bool,
 }
 
 impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS: usize>
@@ -29,14 +43,15 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         self.gateways
             .get(gateway.at())
             .is_some_and(|it| it.open && (it.waiting > 0 || it.announce_at.is_some_and(|at| at <= now)))
+            || self.has_time_message(gateway, now)
     }
 
     /// Copies the next packet for `gateway` into `out`, to be called when the gateway is clear to send. `out` holds the gateway's
     /// MTU; a packet that it cannot hold is dropped, `over-mtu`.
     pub fn transmit(&mut self, index: GatewayIndex, now: LocalTicks, out: &mut [u8]) -> Option<Outgoing> {
-        self.transmit_with(index, now, out.len(), |packet, to| {
+        self.transmit_with(index, now, out.len(), |Departure { packet, to, is_stamped }| {
             out[..packet.len()].copy_from_slice(packet);
-            Outgoing { len: packet.len(), to }
+            Outgoing { len: packet.len(), to, is_stamped }
         })
     }
 
@@ -47,15 +62,22 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         index: GatewayIndex,
         now: LocalTicks,
         limit_bytes: usize,
-        send: impl FnOnce(&[u8], Option<BusDrop>) -> R,
+        send: impl FnOnce(Departure<'_>) -> R,
     ) -> Option<R> {
         let gateway = self.gateways.get(index.at()).filter(|gateway| gateway.open)?;
-        // one announcement between two packets at the most, however often a neighbour asks
+        // one message of the node's own between two packets at the most, however often a neighbour asks
         let yields = gateway.announced_last && gateway.waiting > 0;
-        if !yields && gateway.announce_at.is_some_and(|at| at <= now) {
+        let announces = !yields && gateway.announce_at.is_some_and(|at| at <= now);
+        if self.has_time_message(index, now) {
+            let mut message = [0; TIME_BYTES_MAX];
+            if let Some(Outgoing { len, to, is_stamped }) = self.time_message(index, now, &mut message) {
+                return Some(send(Departure { packet: message.get_mut(..len.min(limit_bytes))?, to, is_stamped }));
+            }
+        }
+        if announces {
             let mut announcement = [0; MTU_BYTES_MIN as usize];
-            if let Some(Outgoing { len, to }) = self.announce(index, now, &mut announcement) {
-                return Some(send(announcement.get(..len.min(limit_bytes))?, to));
+            if let Some(Outgoing { len, to, is_stamped }) = self.announce(index, now, &mut announcement) {
+                return Some(send(Departure { packet: announcement.get_mut(..len.min(limit_bytes))?, to, is_stamped }));
             }
         }
         self.expire(now);
@@ -78,7 +100,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
                 Instruction::Bus { drop, .. } => Some(drop),
                 _ => None,
             };
-            let result = send(packet.bytes(), to);
+            let result = send(Departure { packet: self.pool.bytes_mut(&id), to, is_stamped: false });
             self.relinquish(id);
             let gateway = &mut self.gateways[index.at()];
             gateway.announced_last = false;

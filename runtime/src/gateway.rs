@@ -3,10 +3,27 @@
 //! - **Walk:** ingress names the gateway a packet came by; routing names the one it leaves by.
 //! - **Clauses:** `[LNK-02]` description, `[NOD-01]` hold, `[SYS-04]` neighbour.
 
+use crate::peer::Peer;
 use fixed_math::time::{LocalTicks, Span};
 use osap_protocol::discovery::{GatewayKind, LinkInfo, Neighbour};
 use osap_protocol::framing::{Check, encoded_len_max};
 use osap_protocol::ttl::{WireRate, wire_time};
+
+/// How good a link's stamps are, `[TIM-09]`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stamps {
+    /// A tick of the counter they are made of.
+    pub tick: Span,
+    /// The least time from a departure's stamp to its arrival's stamp at the other end; zero where it is not known.
+    pub wire: Span,
+    /// How late a departure's stamp may be read after its byte left; zero where the counter is read first.
+    pub late: Span,
+}
+
+impl Stamps {
+    /// Made by software from a counter of microseconds, which is read before a frame leaves.
+    pub const SOFTWARE: Self = Self { tick: Span::from_us(1), wire: Span::ZERO, late: Span::ZERO };
+}
 
 /// What does not change about a gateway.
 #[derive(Clone, Copy, Debug)]
@@ -25,6 +42,8 @@ pub struct GatewayConfig {
     pub check: Check,
     /// Packets it may hold in the pool at once.
     pub packet_hold_max: u8,
+    /// Its stamps.
+    pub stamps: Stamps,
 }
 
 impl GatewayConfig {
@@ -68,10 +87,12 @@ pub struct Gateway {
     pub(crate) heard: Option<Heard>,
     /// When to announce ourselves next; `None` while closed, or on a bus after it was done.
     pub(crate) announce_at: Option<LocalTicks>,
-    /// The last packet sent was an announcement.
+    /// The last packet sent was the node's own: an announcement, or about time.
     pub(crate) announced_last: bool,
     /// Latest change of neighbour that nobody has asked for yet.
     pub(crate) change: Option<osap_protocol::discovery::NeighbourChange>,
+    /// The clock at the other end.
+    pub(crate) peer: Peer,
 }
 
 impl Gateway {
@@ -89,6 +110,7 @@ impl Gateway {
             announce_at: None,
             announced_last: false,
             change: None,
+            peer: Peer::new(config.stamps),
         }
     }
 
@@ -98,9 +120,12 @@ impl Gateway {
         &self.config
     }
 
-    /// As [`GatewayConfig::wire_time`], without its division.
+    /// As [`GatewayConfig::wire_time`], without its division; where the rate is unknown, what was measured, `[TIM-16]`.
     #[must_use]
     pub fn wire_time(&self, packet_len: usize) -> Span {
+        if self.config.bit_rate == 0 {
+            return self.peer.one_way().unwrap_or(Span::ZERO);
+        }
         self.rate.time(self.config.frame_bytes_max(packet_len))
     }
 

@@ -86,11 +86,16 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         if let Instruction::System(key) = instruction {
             return match SystemKey::from_key(key) {
                 // one step and no more, `[SYS-02]`: what was forwarded here tells nothing of who is at the other end of this link
-                Some(SystemKey::Announcement) if view.taken().len() > Instruction::width(view.taken()[0]) => {
+                Some(SystemKey::Announcement | SystemKey::TimeRequest | SystemKey::TimeReply)
+                    if view.taken().len() > Instruction::width(view.taken()[0]) =>
+                {
                     Err(DropCause::SystemMalformed)
                 }
                 Some(SystemKey::Announcement) => {
                     self.hear_announcement(arrival, sent_by, &view.bytes()[view.after_instruction()..], now)
+                }
+                Some(key @ (SystemKey::TimeRequest | SystemKey::TimeReply)) => {
+                    self.hear_time(key, arrival, &view.bytes()[view.after_instruction()..], started, now)
                 }
                 _ => Err(DropCause::UnknownSystemKey),
             };

@@ -25,10 +25,14 @@ pub mod stack;
 
 mod announce;
 mod egress;
+mod exchange;
 mod ingress;
+mod peer;
 
-pub use egress::Outgoing;
-pub use gateway::GatewayConfig;
+pub use clock::SystemTime;
+pub use egress::{Departure, Outgoing};
+pub use gateway::{GatewayConfig, Stamps};
 pub use mailbox::{Delivery, Mailbox, Outbound, SendError};
 pub use node::{Identity, Node};
+pub use peer::{BURST, BURST_INTERVAL_US, OUTLIERS_MAX, SLOW_FACTOR};
 pub use port::PortConfig;

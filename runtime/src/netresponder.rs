@@ -15,8 +15,8 @@ use crate::pool::Pool;
 use crate::port::Port;
 use fixed_math::time::LocalTicks;
 use osap_protocol::discovery::{
-    BODY_BYTES_MAX, Event, Message, NAME_BYTES_MAX, Name, Query, Refusal, RuntimeInfo, ScanId, TimeSettings, VERSION,
-    Verbosity, check_query, decode, encode,
+    BODY_BYTES_MAX, Event, Message, NAME_BYTES_MAX, Name, Query, Refusal, RuntimeInfo, ScanId, TimeAsymmetry,
+    TimeSettings, VERSION, Verbosity, check_query, decode, encode,
 };
 use osap_protocol::header::PORT_HEADER_BYTES;
 use osap_protocol::transport::{SequencedHeader, SequencedKind};
@@ -76,7 +76,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
             identity: &self.identity,
             name: &mut self.name,
             renamed: &mut self.renamed,
-            gateways: &self.gateways,
+            gateways: &mut self.gateways,
             ports: &self.ports,
             counters: &self.counters,
             debug: &mut self.debug,
@@ -101,7 +101,7 @@ struct Desk<'a, const SLOTS: usize, const BYTES: usize> {
     identity: &'a Identity,
     name: &'a mut Name,
     renamed: &'a mut bool,
-    gateways: &'a [Gateway],
+    gateways: &'a mut [Gateway],
     ports: &'a [Port],
     counters: &'a Counters,
     debug: &'a mut DebugRing,
@@ -154,7 +154,7 @@ impl<const SLOTS: usize, const BYTES: usize> Desk<'_, SLOTS, BYTES> {
             }
             Query::TimeControl => {
                 body.read::<()>()?;
-                self.clock.control(self.now).encode(out)
+                self.clock.control(self.gateways, self.now).encode(out)
             }
             Query::SetTimeControl => {
                 self.clock.set(body.read::<TimeSettings>()?)?;
@@ -163,6 +163,18 @@ impl<const SLOTS: usize, const BYTES: usize> Desk<'_, SLOTS, BYTES> {
             Query::Counters => {
                 let first = body.read()?;
                 self.encode_counter_page(first, out)
+            }
+            Query::TimeStatus => {
+                body.read::<()>()?;
+                encode(key, &self.clock.status(self.now), out)
+            }
+            Query::TimeLink => {
+                let gateway = self.gateways.get(usize::from(body.read::<u8>()?)).ok_or(Refusal::Index)?;
+                encode(key, &gateway.peer.info(self.now), out)
+            }
+            Query::SetTimeAsymmetry => {
+                self.calibrate(&body.read()?)?;
+                encode(key, &(), out)
             }
         }
     }
@@ -205,6 +217,20 @@ impl<const SLOTS: usize, const BYTES: usize> Desk<'_, SLOTS, BYTES> {
         }
     }
 
+    /// Sets the asymmetry of all links of a type, `[TIM-13]`.
+    #[cold]
+    fn calibrate(&mut self, to: &TimeAsymmetry) -> Result<(), Refusal> {
+        let mut found = false;
+        for gateway in &mut *self.gateways {
+            if gateway.config.type_name == to.type_name.as_str() {
+                gateway.peer.calibrate(to.asymmetry_steps, gateway.config.stamps);
+                found = true;
+            }
+        }
+        self.clock.is_changed |= found;
+        if found { Ok(()) } else { Err(Refusal::Index) }
+    }
+
     /// A page of as many counters as fit, `[DSC-06]`.
     #[inline(never)]
     fn encode_counter_page(&self, first: u8, out: &mut [u8]) -> Result<usize, Refusal> {
@@ -220,7 +246,7 @@ impl<const SLOTS: usize, const BYTES: usize> Desk<'_, SLOTS, BYTES> {
     /// A page of as many events as fit, `[DSC-06]`.
     #[inline(never)]
     fn encode_debug_page(&self, cursor: u32, out: &mut [u8]) -> Result<usize, Refusal> {
-        let mut page = self.debug.page(cursor);
+        let mut page = self.debug.page(cursor, self.clock.mark(self.now));
         loop {
             match encode(Query::DebugMessages.key(), &page, out) {
                 Err(Refusal::TooLong) if page.events.pop().is_some() => page.next = page.next.wrapping_sub(1),

@@ -9,13 +9,13 @@
 //! use fixed_math::time::LocalTicks;
 //! use osap_protocol::discovery::{BuildKind, GatewayKind, UniqueId};
 //! use osap_protocol::framing::Check;
-//! use osap_runtime::{GatewayConfig, Identity, Node};
+//! use osap_runtime::{GatewayConfig, Identity, Node, Stamps};
 //!
 //! let identity = Identity { type_name: "example", unique_id: UniqueId([7; 12]), boot_epoch: 1, version: [0, 1, 0], build: BuildKind::Host };
 //! // 8 slots of 256 bytes, up to 2 gateways and 4 ports
 //! let mut node = Node::<8, 256, 2, 4>::new(identity, "bench");
 //! let uart = node.add_gateway(GatewayConfig {
-//!     type_name: "uart", kind: GatewayKind::Link, mtu_bytes: 256, bit_rate: 3_000_000, bits_a_byte: 10, check: Check::Crc16, packet_hold_max: 4,
+//!     type_name: "uart", kind: GatewayKind::Link, mtu_bytes: 256, bit_rate: 3_000_000, bits_a_byte: 10, check: Check::Crc16, packet_hold_max: 4, stamps: Stamps::SOFTWARE,
 //! }).unwrap();
 //! let now = LocalTicks::from_us(10);
 //! node.set_open(uart, true, now);
@@ -24,7 +24,7 @@
 //! assert!(out.len < 40);
 //! ```
 
-use crate::clock::Clock;
+use crate::clock::{Clock, SystemTime};
 use crate::counters::Counters;
 use crate::debug::DebugRing;
 use crate::gateway::{Gateway, GatewayConfig};
@@ -99,7 +99,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
             ports,
             counters: Counters::new(),
             debug: DebugRing::new(),
-            clock: Clock::new(),
+            clock: Clock::new(identity.unique_id),
             visits: [ScanId::default(); 2],
             topology_generation: 0,
             silence_at: LocalTicks::MAX,
@@ -224,6 +224,23 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         }
     }
 
+    /// System time at `now`, by this node's own counter, `[TIM-09]`.
+    #[must_use]
+    pub fn system_time(&self, now: LocalTicks) -> SystemTime {
+        self.clock.system_time(now)
+    }
+
+    /// The clock.
+    #[must_use]
+    pub const fn clock(&self) -> &Clock {
+        &self.clock
+    }
+
+    /// The clock, to set it or to say what is live.
+    pub const fn clock_mut(&mut self) -> &mut Clock {
+        &mut self.clock
+    }
+
     /// Counts a drop that happened outside the node: a frame that failed its check, a ring that ran over.
     #[cold]
     pub fn count(&mut self, cause: DropCause, gateway: Option<GatewayIndex>, now: LocalTicks) {
@@ -241,6 +258,9 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         self.expire(now);
         if now >= self.silence_at {
             self.notice_silence(now);
+        }
+        if self.clock.next_wake().is_some_and(|at| at <= now) {
+            self.keep_time(now);
         }
         self.answer_queries(now);
     }
@@ -270,8 +290,10 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
     pub fn next_wake(&self) -> Option<LocalTicks> {
         let expiry = self.stack.earliest_deadline(&self.pool);
         let announcements = self.gateways.iter().filter_map(|gateway| gateway.announce_at);
+        let requests =
+            self.gateways.iter().filter(|gateway| gateway.open).filter_map(|gateway| gateway.peer.request_at);
         let silence = (self.silence_at < LocalTicks::MAX).then_some(self.silence_at);
-        announcements.chain(silence).chain(expiry).min()
+        announcements.chain(requests).chain(silence).chain(expiry).chain(self.clock.next_wake()).min()
     }
 
     /// Drops every stacked packet whose deadline has come, `[NOD-04]`.

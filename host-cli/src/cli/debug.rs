@@ -155,6 +155,7 @@ fn text(event: &Event) -> String {
         Event::Renamed => "the device was given a new name".to_owned(),
         Event::Stage { stage, index } => stage_text(*stage, *index),
         Event::Text(text) => printable(text),
+        Event::Clock { change, tier } => format!("clock: {}, tier {tier}", change.name()),
     }
 }
 

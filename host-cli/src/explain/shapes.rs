@@ -227,6 +227,9 @@ pub(super) const fn request(query: Query) -> &'static [Item] {
         Query::SetDebugVerbosity => ONE_VERBOSITY,
         Query::SetTimeControl => TIME_SETTINGS,
         Query::Counters => ONE_COUNTER,
+        Query::TimeStatus => &[],
+        Query::TimeLink => ONE_GATEWAY,
+        Query::SetTimeAsymmetry => &[],
     }
 }
 
@@ -241,5 +244,6 @@ pub(super) const fn answer(query: Query) -> &'static [Item] {
         Query::DebugMessages => DEBUG_PAGE,
         Query::TimeControl => TIME_CONTROL,
         Query::Counters => COUNTER_PAGE,
+        Query::TimeStatus | Query::TimeLink | Query::SetTimeAsymmetry => &[],
     }
 }

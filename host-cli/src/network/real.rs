@@ -17,7 +17,7 @@ use fixed_math::time::{LocalTicks, Span};
 use osap_protocol::GatewayIndex;
 use osap_protocol::discovery::GatewayKind;
 use osap_protocol::header::Arrival;
-use osap_runtime::GatewayConfig;
+use osap_runtime::{GatewayConfig, Stamps};
 use osap_sim::capture::Direction;
 use osap_sim::endpoint::Endpoint;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TryRecvError, sync_channel};
@@ -312,5 +312,6 @@ fn config_of(description: &LinkDescription) -> GatewayConfig {
         bits_a_byte: description.bits_a_byte,
         check: description.check,
         packet_hold_max: 0, // the core says what its links may hold
+        stamps: Stamps::SOFTWARE,
     }
 }

@@ -10,7 +10,7 @@ use fixed_math::time::Span;
 use osap_protocol::DropCause;
 use osap_protocol::discovery::{
     self, BODY_BYTES_MAX, CounterPage, DebugEvent, DebugPage, LinkInfo, Name, PortInfo, Query, Refusal, RuntimeInfo,
-    ScanId, TimeControl, TimeSettings, Verbosity,
+    ScanId, TimeAsymmetry, TimeControl, TimeLink, TimeSettings, TimeStatus, Verbosity,
 };
 use osap_runtime::sequenced::Destination;
 use serde::de::DeserializeOwned;
@@ -156,6 +156,30 @@ impl Session {
         self.ask(to, Query::SetTimeControl, settings)
     }
 
+    /// What its clock follows, `[TIM-12]`.
+    ///
+    /// # Errors
+    /// [`AskError`].
+    pub fn time_status(&mut self, to: &Destination) -> Result<Answer<TimeStatus>, AskError> {
+        self.ask(to, Query::TimeStatus, &())
+    }
+
+    /// What it knows of the clock at a gateway's other end, `[TIM-12]`.
+    ///
+    /// # Errors
+    /// [`AskError`].
+    pub fn time_link(&mut self, to: &Destination, gateway: u8) -> Result<Answer<TimeLink>, AskError> {
+        self.ask(to, Query::TimeLink, &gateway)
+    }
+
+    /// Sets the asymmetry of its links of one type, `[TIM-13]`.
+    ///
+    /// # Errors
+    /// [`AskError`].
+    pub fn set_time_asymmetry(&mut self, to: &Destination, asymmetry: &TimeAsymmetry) -> Result<Answer<()>, AskError> {
+        self.ask(to, Query::SetTimeAsymmetry, asymmetry)
+    }
+
     /// All of its counters, `[DSC-06]`.
     ///
     /// # Errors
@@ -187,7 +211,9 @@ pub(super) const fn reply_bytes(query: Query) -> usize {
         Query::DebugMessages => 2 + BODY_BYTES_MAX,
         Query::TimeControl => 63,
         Query::Counters => 86,
-        Query::SetRuntimeName | Query::SetDebugVerbosity | Query::SetTimeControl => 3,
+        Query::TimeStatus => 100,
+        Query::TimeLink => 80,
+        Query::SetRuntimeName | Query::SetDebugVerbosity | Query::SetTimeControl | Query::SetTimeAsymmetry => 3,
     }
 }
 

@@ -5,7 +5,7 @@ use osap::link::{Clock, LinkEvent, LinkHandle};
 use osap_protocol::GatewayIndex;
 use osap_protocol::discovery::{BuildKind, GatewayKind, UniqueId};
 use osap_protocol::header::Arrival;
-use osap_runtime::GatewayConfig;
+use osap_runtime::{GatewayConfig, Stamps};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::sync::{Arc, PoisonError};
@@ -39,8 +39,16 @@ impl Responder {
             let it = &link.description;
             let (mtu_bytes, bit_rate, bits_a_byte, check) = (it.mtu_bytes, it.bit_rate, it.bits_a_byte, it.check);
             let kind = GatewayKind::Link;
-            let config =
-                GatewayConfig { type_name: "test", kind, mtu_bytes, bit_rate, bits_a_byte, check, packet_hold_max: 8 };
+            let config = GatewayConfig {
+                type_name: "test",
+                kind,
+                mtu_bytes,
+                bit_rate,
+                bits_a_byte,
+                check,
+                packet_hold_max: 8,
+                stamps: Stamps::SOFTWARE,
+            };
             motor.node_mut().add_gateway(config).unwrap();
             let mut is_clear = false;
             while !stopped.load(Ordering::Relaxed) {

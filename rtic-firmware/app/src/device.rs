@@ -171,7 +171,7 @@ mod tests {
     use osap_protocol::header::{PORT_HEADER_BYTES, Terminal, emit};
     use osap_protocol::transport::Transport;
     use osap_protocol::{RouteBuf, Step};
-    use osap_runtime::GatewayConfig;
+    use osap_runtime::{GatewayConfig, Stamps};
 
     type Motor = Device<16, 256, 1, 4, 1024>;
 
@@ -184,6 +184,7 @@ mod tests {
         bits_a_byte: 8,
         check: Check::None,
         packet_hold_max: 8,
+        stamps: Stamps::SOFTWARE,
     };
 
     /// An open motor that has announced itself.

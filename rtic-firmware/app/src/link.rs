@@ -4,14 +4,15 @@
 //!   [`Wire::send`].
 //! - **Invariants:** what fails its check is counted under its gateway; a packet is taken off the stack only once its wire has room for
 //!   its frame, so that the earliest deadline is chosen as late as the wire allows.
-//! - **Context:** the routing task; O(bytes) a call. **Clauses:** `[LNK-01]`, `[FRM-08]`, `[NOD-08]`.
+//! - **Context:** the routing task; O(bytes) a call. **Clauses:** `[LNK-01]`, `[FRM-08]`, `[NOD-08]`, `[TIM-03]`.
 
 use fixed_math::time::LocalTicks;
 use osap_protocol::framing::{Deframer, Frame, FrameError, Framer};
 use osap_protocol::header::Arrival;
+use osap_protocol::time::stamp;
 use osap_protocol::{DropCause, GatewayIndex};
 use osap_runtime::ring::HandOver;
-use osap_runtime::{GatewayConfig, Node};
+use osap_runtime::{Departure, GatewayConfig, Node};
 
 /// Bytes of a packet that are framed before the first of them may leave: some zero stands among them, so that a run has ended.
 const HEAD_BYTES: usize = 12;
@@ -42,6 +43,13 @@ pub trait Wire {
         let _: usize = len;
     }
 
+    /// As [`Wire::send_head`], for a frame that wants the stamp of its departure: when its first byte left, `[TIM-03]`. `None`, and nothing has
+    /// left, where the wire is not idle or sends whole frames; then the frame carries the instant it is sent `at`.
+    fn send_head_stamped(&mut self, len: usize) -> Option<LocalTicks> {
+        let _: usize = len;
+        None
+    }
+
     /// Sends the first `len` bytes of the room, or what of them has not left yet, from `at` on or, where that is past, at once.
     fn send(&mut self, len: usize, at: LocalTicks);
 }
@@ -53,6 +61,8 @@ pub struct Link<W, const BYTES: usize, const FRAME: usize> {
     gateway: GatewayIndex,
     config: GatewayConfig,
     deframer: Deframer<FRAME>,
+    /// When a frame that wants its stamp can leave: it waits for an idle wire.
+    stamped_at: Option<LocalTicks>,
 }
 
 impl<W: Wire, const BYTES: usize, const FRAME: usize> Link<W, BYTES, FRAME> {
@@ -63,12 +73,17 @@ impl<W: Wire, const BYTES: usize, const FRAME: usize> Link<W, BYTES, FRAME> {
         node: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>,
     ) -> Option<Self> {
         let gateway = node.add_gateway(config)?;
-        Some(Self { wire, gateway, config, deframer: Deframer::new(config.check) })
+        Some(Self { wire, gateway, config, deframer: Deframer::new(config.check), stamped_at: None })
     }
 
     /// The wire, for what its interrupts need of it.
     pub const fn wire(&mut self) -> &mut W {
         &mut self.wire
+    }
+
+    /// When [`Link::transmit`] can go on though nothing happens until then.
+    pub const fn next_wake(&self) -> Option<LocalTicks> {
+        self.stamped_at
     }
 
     /// Takes in what has come; says whether a frame ended, so that there is something to route.
@@ -102,16 +117,26 @@ impl<W: Wire, const BYTES: usize, const FRAME: usize> Link<W, BYTES, FRAME> {
         node: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>,
         now: LocalTicks,
     ) {
+        self.stamped_at = None;
         while node.has_output(self.gateway, now)
             && let Some(at) = self.wire.clear_at(now)
         {
+            if at > now && node.has_time_message(self.gateway, now) {
+                self.stamped_at = Some(at);
+                break;
+            }
             // what waits for the bytes before it has that much less time to live
             let Self { wire, config, .. } = self;
-            let sent = node.transmit_with(self.gateway, at, BYTES, |packet, _| {
+            let sent = node.transmit_with(self.gateway, at, BYTES, |Departure { packet, is_stamped, .. }| {
                 let mut framer = Framer::new(config.check);
-                let (head, rest) = packet.split_at(packet.len().min(HEAD_BYTES));
-                framer.push_head(head, wire.room());
-                wire.send_head(framer.settled());
+                let head_len = packet.len().min(HEAD_BYTES);
+                framer.push_head(&packet[..head_len], wire.room());
+                if !is_stamped {
+                    wire.send_head(framer.settled());
+                } else if let Some(departed) = wire.send_head_stamped(framer.settled()) {
+                    stamp(packet, departed);
+                }
+                let (head, rest) = packet.split_at(head_len);
                 framer.digest(head);
                 framer.push(rest, wire.room());
                 let len = framer.finish(wire.room());

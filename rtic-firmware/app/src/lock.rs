@@ -78,7 +78,7 @@ mod tests {
     use osap_protocol::header::{Arrival, Terminal, emit};
     use osap_protocol::transport::{Sequence, SequencedHeader, SequencedKind, Transport};
     use osap_protocol::{GatewayIndex, RouteBuf, Step};
-    use osap_runtime::{GatewayConfig, Identity, Node};
+    use osap_runtime::{GatewayConfig, Identity, Node, Stamps};
 
     type TestNode = Node<4, 128, 1, 4>;
 
@@ -126,6 +126,7 @@ mod tests {
             bits_a_byte: 8,
             check: Check::None,
             packet_hold_max: 4,
+            stamps: Stamps::SOFTWARE,
         };
         let link = node.add_gateway(gateway).unwrap();
         for entry in kind::MOTOR.ports {

@@ -32,6 +32,9 @@ pub trait Links<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, c
 
     /// [`Link::transmit`] for each.
     fn transmit(&mut self, node: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>, now: LocalTicks);
+
+    /// The earliest [`Link::next_wake`].
+    fn next_wake(&self) -> Option<LocalTicks>;
 }
 
 impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS: usize>
@@ -42,6 +45,10 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
     }
 
     fn transmit(&mut self, _: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>, _: LocalTicks) {}
+
+    fn next_wake(&self) -> Option<LocalTicks> {
+        None
+    }
 }
 
 impl<W: Wire, const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS: usize, const FRAME: usize>
@@ -53,6 +60,10 @@ impl<W: Wire, const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, con
 
     fn transmit(&mut self, node: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>, now: LocalTicks) {
         Self::transmit(self, node, now);
+    }
+
+    fn next_wake(&self) -> Option<LocalTicks> {
+        Self::next_wake(self)
     }
 }
 
@@ -74,6 +85,10 @@ impl<
             link.transmit(node, now);
         }
     }
+
+    fn next_wake(&self) -> Option<LocalTicks> {
+        self.iter().filter_map(L::next_wake).min()
+    }
 }
 
 impl<
@@ -92,6 +107,10 @@ impl<
     fn transmit(&mut self, node: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>, now: LocalTicks) {
         self.0.transmit(node, now);
         self.1.transmit(node, now);
+    }
+
+    fn next_wake(&self) -> Option<LocalTicks> {
+        [self.0.next_wake(), self.1.next_wake()].into_iter().flatten().min()
     }
 }
 
@@ -130,7 +149,7 @@ pub fn forward<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, co
     let is_waited_for = |port| PortIndex::new(port).is_some_and(|port| node.waiting(port) > 0);
     let mut services = (1..).take(PORTS - 1);
     // what is past could not be done now, for want of room on a wire or of time for a service: what frees it runs this again
-    let wakes = [node.next_wake(), services_wake].into_iter().flatten().filter(|at| *at > now);
+    let wakes = [node.next_wake(), services_wake, links.next_wake()].into_iter().flatten().filter(|at| *at > now);
     Next {
         wake: wakes.fold(now + Span::from_us(WAKE_US_MAX), LocalTicks::min),
         serve: services_due || services.any(is_waited_for),
@@ -147,7 +166,7 @@ mod tests {
     use osap_protocol::header::{Terminal, emit};
     use osap_protocol::transport::Transport;
     use osap_protocol::{GatewayIndex, RouteBuf, Step};
-    use osap_runtime::GatewayConfig;
+    use osap_runtime::{GatewayConfig, Stamps};
     use std::vec::Vec;
 
     const CHECK: Check = Check::Crc16;
@@ -197,6 +216,7 @@ mod tests {
             bits_a_byte: 8,
             check: CHECK,
             packet_hold_max: 4,
+            stamps: Stamps::SOFTWARE,
         };
         let mut links = [true, false].map(|clear| {
             let wire = TestWire { came: Vec::new(), left: Vec::new(), room: [0; 80], clear };

@@ -15,7 +15,7 @@ use firmware_app::lock::NodeLock;
 use firmware_app::report::Report;
 use firmware_app::{Device, Link};
 use osap_protocol::discovery::{BuildKind, Event, GatewayKind, Name, Verbosity};
-use osap_runtime::GatewayConfig;
+use osap_runtime::{GatewayConfig, Stamps};
 
 /// What `route` is bound to: a port's interrupt that nothing else uses.
 pub(crate) const ROUTE: Interrupt = Interrupt::PORT0;
@@ -52,6 +52,7 @@ const GATEWAY: GatewayConfig = GatewayConfig {
     bits_a_byte: 10,
     check: CHECK,
     packet_hold_max: 8,
+    stamps: Stamps::SOFTWARE,
 };
 
 /// What the tasks own.

@@ -13,7 +13,7 @@ use firmware_app::kind::KINDS;
 use firmware_app::lock::NodeLock;
 use firmware_app::{Device, Link};
 use osap_protocol::discovery::{BuildKind, GatewayKind, Name};
-use osap_runtime::GatewayConfig;
+use osap_runtime::{GatewayConfig, Stamps};
 
 /// What `route` is bound to: a port's interrupt that nothing else uses.
 pub(crate) const ROUTE: Interrupt = Interrupt::PORT0;
@@ -47,6 +47,7 @@ const GATEWAY: GatewayConfig = GatewayConfig {
     bits_a_byte: 10,
     check: CHECK,
     packet_hold_max: 8,
+    stamps: Stamps::SOFTWARE,
 };
 
 /// What the tasks own.

@@ -16,7 +16,7 @@ use firmware_app::routing::route;
 use firmware_app::{Device, Link, Services, kind};
 use fixed_math::time::LocalTicks;
 use osap_protocol::discovery::{BuildKind, GatewayKind, Name, UniqueId};
-use osap_runtime::{GatewayConfig, Node};
+use osap_runtime::{GatewayConfig, Node, Stamps};
 
 /// What `route` is bound to: the interrupt of a peripheral whose clock is never turned on.
 pub(crate) const ROUTE: Interrupt = Interrupt::LPTIM1;
@@ -59,6 +59,7 @@ const UART: GatewayConfig = GatewayConfig {
     bits_a_byte: BITS_A_BYTE,
     check: CHECK,
     packet_hold_max: 8,
+    stamps: Stamps::SOFTWARE,
 };
 
 /// Does what the USB asks for.

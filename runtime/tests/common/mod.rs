@@ -8,7 +8,7 @@ use osap_protocol::framing::Check;
 use osap_protocol::header::Arrival;
 use osap_protocol::transport::{Sequence, SequencedHeader, SequencedKind, Transport};
 use osap_protocol::{BusDrop, DropCause, GatewayIndex, PortIndex, RouteBuf, Step};
-use osap_runtime::{Delivery, GatewayConfig, Identity, Mailbox, Node, Outbound, PortConfig};
+use osap_runtime::{Delivery, GatewayConfig, Identity, Mailbox, Node, Outbound, PortConfig, Stamps};
 use serde::{Serialize, de::DeserializeOwned};
 
 pub(crate) const SLOTS: usize = 8;
@@ -55,6 +55,7 @@ pub(crate) const UART: GatewayConfig = GatewayConfig {
     bits_a_byte: 10,
     check: Check::Crc16,
     packet_hold_max: 4,
+    stamps: Stamps::SOFTWARE,
 };
 
 /// A link of unknown rate.

@@ -10,7 +10,7 @@ use osap_protocol::framing::Check;
 use osap_protocol::header::Arrival;
 use osap_protocol::transport::{Sequence, SequencedHeader, SequencedKind, Transport};
 use osap_protocol::{DropCause, GatewayIndex, PortIndex, RouteBuf, Step};
-use osap_runtime::{GatewayConfig, Identity, Mailbox, Node, Outbound, PortConfig, SendError};
+use osap_runtime::{GatewayConfig, Identity, Mailbox, Node, Outbound, PortConfig, SendError, Stamps};
 
 type OverloadNode = Node<24, 256, 2, 4>;
 
@@ -96,6 +96,7 @@ impl Cell {
             bits_a_byte: 10,
             check: Check::Crc16,
             packet_hold_max: 4,
+            stamps: Stamps::SOFTWARE,
         };
         let usb =
             GatewayConfig { type_name: "usb-cdc", bit_rate: 480_000_000, bits_a_byte: 8, check: Check::None, ..uart };

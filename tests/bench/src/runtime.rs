@@ -9,7 +9,7 @@ use osap_protocol::framing::{Check, decode, encode};
 use osap_protocol::header::Arrival;
 use osap_protocol::transport::Transport;
 use osap_protocol::{GatewayIndex, PortIndex, RouteBuf, Step};
-use osap_runtime::{GatewayConfig, Identity, Mailbox, Node, Outbound, PortConfig};
+use osap_runtime::{GatewayConfig, Identity, Mailbox, Node, Outbound, PortConfig, Stamps};
 use std::hint::black_box;
 use std::time::Instant;
 
@@ -84,6 +84,7 @@ impl Line {
             bits_a_byte: 8,
             check: Check::None,
             packet_hold_max: 8,
+            stamps: Stamps::SOFTWARE,
         };
         let node = |_| {
             let identity = Identity {

@@ -6,7 +6,7 @@ use osap_protocol::framing::{Check, Deframer, decode};
 use osap_protocol::header::Arrival;
 use osap_protocol::{BusDrop, DropCause, GatewayIndex, Packet, PortIndex, Route};
 use osap_runtime::segmented::Receiver;
-use osap_runtime::{GatewayConfig, Identity, Mailbox, Node, PortConfig};
+use osap_runtime::{GatewayConfig, Identity, Mailbox, Node, PortConfig, Stamps};
 
 /// Something to feed.
 pub(crate) trait Target {
@@ -175,6 +175,7 @@ impl NodeTarget {
             bits_a_byte: 10,
             check: Check::Crc16,
             packet_hold_max: 4,
+            stamps: Stamps::SOFTWARE,
         };
         for config in [uart, uart, GatewayConfig { kind: GatewayKind::Bus { drop: 3 }, ..uart }] {
             if let Some(index) = node.add_gateway(config) {

@@ -15,7 +15,7 @@ use osap_protocol::GatewayIndex;
 use osap_protocol::discovery::{GatewayKind, UniqueId};
 use osap_protocol::framing::{Check, Deframer, encode, encoded_len_max};
 use osap_protocol::header::Arrival;
-use osap_runtime::GatewayConfig;
+use osap_runtime::{GatewayConfig, Stamps};
 use osap_sim::endpoint::Endpoint;
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -240,6 +240,7 @@ fn open_link(core: &mut HostCore, port: &HostPort, now: LocalTicks) -> Option<Ho
         bits_a_byte: if port.bit_rate == 0 { 8 } else { 10 },
         check: port.check,
         packet_hold_max: 0, // the core says what its links may hold
+        stamps: Stamps::SOFTWARE,
     })?;
     core.set_link(gateway, None, now);
     let (port, check) = (port.port.clone(), port.check);

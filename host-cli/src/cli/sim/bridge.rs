@@ -89,7 +89,7 @@ impl Endpoint for Bridge {
         // Longer than the machine's link carries: as on hardware it gets nowhere.
         let room = out.get_mut(..packet.len())?;
         room.copy_from_slice(&packet);
-        Some(Outgoing { len: packet.len(), to: None })
+        Some(Outgoing { len: packet.len(), to: None, is_stamped: false })
     }
 
     fn has_output(&self, gateway: GatewayIndex, _now: LocalTicks) -> bool {
