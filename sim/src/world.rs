@@ -39,7 +39,7 @@ mod station;
 mod wire;
 
 pub use bus::{BusModel, BusStats};
-pub use stamps::StampModel;
+pub use stamps::{Departure, StampModel};
 pub use station::{Boot, Factory};
 pub use wire::WayStats;
 

@@ -5,40 +5,53 @@ mod common;
 use common::{Probe, add_probe, assert_all_slots_home, gateway, over, probe, us, with_probe};
 use firmware_app::kind;
 use fixed_math::time::LocalTicks;
+use osap_protocol::header::SYSTEM_HEADER_BYTES;
+use osap_protocol::time::{TimeReply, TimeRequest, unwrap_stamp};
+use osap_runtime::BURST;
 use osap_sim::device::{SimDevice, sim_device};
 use osap_sim::machines::clocks::{self, ClockTree, ClockWorld, PICO_125_MHZ};
 use osap_sim::machines::{UART, unique_id};
 use osap_sim::processor::Processor;
 use osap_sim::time::{ClockModel, TrueTime};
-use osap_sim::world::{LinkModel, NodeId, StampModel, World};
+use osap_sim::world::{Departure, LinkModel, NodeId, StampModel, World};
+use std::sync::{Arc, Mutex};
 
-/// Two probes on a cable, of which the second has `clock` and `stamps`, after their announcements.
-fn pair(seed: u64, clock: ClockModel, stamps: StampModel, model: LinkModel) -> (World, [NodeId; 2]) {
+/// What passed over a cable: when its first byte left, from which end, and the packet.
+type Seen = Arc<Mutex<Vec<(TrueTime, usize, Vec<u8>)>>>;
+
+/// Two probes on a cable, of which the second has `clock` and `stamps`, after their first announcements.
+fn pair(seed: u64, clock: ClockModel, stamps: StampModel, model: LinkModel) -> (World, [NodeId; 2], Seen) {
     let mut world = World::new(seed);
     let first = add_probe(&mut world, &[UART]);
     let second = world.add_node(Probe::new(&[UART]), Processor::INSTANT, clock);
     world.set_stamps(second, stamps);
-    world.connect((first, gateway(0)), (second, gateway(0)), model);
+    let link = world.connect((first, gateway(0)), (second, gateway(0)), model);
+    let seen = Seen::default();
+    let tapped = Arc::clone(&seen);
+    world.tap_link(
+        link,
+        Box::new(move |event| tapped.lock().unwrap().push((event.at, event.way, event.packet.to_vec()))),
+    );
     world.run_for(us(10_000));
-    (world, [first, second])
+    (world, [first, second], seen)
 }
 
-/// Sends 20 bytes from one to the other; tells when their first byte left.
-fn send(world: &mut World, from: NodeId) -> TrueTime {
-    let left = world.now();
+/// Sends 20 bytes from one to the other; tells when their first byte left, for nodes ask each other for the time as well.
+fn send(world: &mut World, from: NodeId, seen: &Seen) -> TrueTime {
     with_probe(world, from, |it, now| it.datagram(&over(&[0], 1, 20_000), &[7; 20], now).unwrap());
     world.run_for(us(1_003));
-    left
+    let seen = seen.lock().unwrap();
+    seen.iter().rev().find(|(_, _, packet)| packet.ends_with(&[7; 20])).unwrap().0
 }
 
 /// `[FRM-07]`: without delays a stamp is what the counter reads at the first byte, in whole ticks of its timer.
 #[test]
 fn a_stamp_is_the_counters_reading_at_the_first_byte() {
     let clock = ClockModel { tick: us(1), offset_us: 77, ..ClockModel::off_by(40.0) };
-    let (mut world, [first, second]) = pair(1, clock, StampModel::EXACT, LinkModel::WIRE);
+    let (mut world, [first, second], seen) = pair(1, clock, StampModel::EXACT, LinkModel::WIRE);
     let mut between_ticks = 0;
     for n in 0..50 {
-        let left = send(&mut world, first);
+        let left = send(&mut world, first, &seen);
         let (started, handed_over) = probe(&world, second).stamps[n];
         assert_eq!(started, world.local(second, left));
         assert_eq!(started.steps() % 256, 0);
@@ -54,12 +67,12 @@ fn a_stamp_is_the_counters_reading_at_the_first_byte() {
 /// Delayed stamps are late, never early, and no later than the hand-over; how often and by how much is tested beside the model.
 #[test]
 fn delayed_stamps_are_late_and_seeded() {
-    let stamps = StampModel { delayed_part: 0.5, delay_mean: us(40) };
+    let stamps = StampModel { delayed_part: 0.5, delay_mean: us(40), ..StampModel::EXACT };
     let run = |seed| {
-        let (mut world, [first, second]) = pair(seed, ClockModel::PERFECT, stamps, LinkModel::WIRE);
+        let (mut world, [first, second], seen) = pair(seed, ClockModel::PERFECT, stamps, LinkModel::WIRE);
         let late: Vec<u64> = (0..200)
             .map(|n| {
-                let left = LocalTicks::from_steps(send(&mut world, first).steps());
+                let left = LocalTicks::from_steps(send(&mut world, first, &seen).steps());
                 let (started, handed_over) = probe(&world, second).stamps[n];
                 assert!((left..=handed_over).contains(&started));
                 started.since(left).steps()
@@ -78,13 +91,55 @@ fn delayed_stamps_are_late_and_seeded() {
     assert_ne!(late, run(2));
 }
 
+/// Departures of the second node's time messages: when their first byte left, and the stamp that they carry.
+fn departures(stamps: StampModel) -> Vec<(LocalTicks, LocalTicks)> {
+    let clock = ClockModel { tick: us(1), ..ClockModel::PERFECT };
+    let (mut world, _, seen) = pair(9, clock, stamps, LinkModel::WIRE);
+    world.run_for(us(2_000_000));
+    let seen = seen.lock().unwrap();
+    let from_second = seen.iter().filter(|(_, way, _)| *way == 1);
+    from_second
+        .filter_map(|(left, _, packet)| {
+            let left = LocalTicks::from_steps(left.steps());
+            let payload = packet.get(SYSTEM_HEADER_BYTES + 1..)?;
+            let slot = TimeRequest::decode(payload).map(|(_, slot)| slot);
+            let slot = slot.or_else(|_| TimeReply::decode(payload).map(|reply| reply.answered_slot)).ok()?;
+            // a late stamp may be after the departure
+            Some((left, unwrap_stamp(slot, left + us(10_000))))
+        })
+        .collect()
+}
+
+/// `[TIM-03]`: what a time message says of its departure is the counter's reading there. Where it is delayed, the first byte leaves
+/// after its stamp or the stamp is read after the byte left, as the model has it; never otherwise.
+#[test]
+fn time_messages_carry_their_departure() {
+    let exact = departures(StampModel::EXACT);
+    assert!(exact.len() >= 2 * usize::from(BURST), "{} messages: at joining, each asks so often", exact.len());
+    for (left, stamp) in &exact {
+        assert_eq!(stamp.steps(), left.steps() / 256 * 256);
+    }
+    let half = StampModel { delayed_part: 0.5, delay_mean: us(20), departure: Departure::StampedBefore };
+    for departure in [Departure::StampedBefore, Departure::StampedAfter] {
+        let late = departures(StampModel { departure, ..half });
+        let is_before = departure == Departure::StampedBefore;
+        let by = |(left, stamp): &(LocalTicks, LocalTicks)| {
+            if is_before { left.steps_after(*stamp) } else { stamp.steps_after(*left) }
+        };
+        // but for the tick, which rounds down
+        assert!(late.iter().map(by).all(|steps| steps > -256), "{departure:?}");
+        let delayed = late.iter().filter(|it| by(it) >= 256).count();
+        assert!(delayed * 10 > late.len() * 3 && delayed * 10 < late.len() * 7, "{delayed} of {}", late.len());
+    }
+}
+
 /// A link that takes 30 µs longer one way than back delays what goes that way by so much, and nothing else.
 #[test]
 fn a_link_can_be_longer_one_way() {
     let model = LinkModel { latency: us(5), extra: [us(30), us(2)], ..LinkModel::WIRE };
-    let (mut world, [first, second]) = pair(1, ClockModel::PERFECT, StampModel::EXACT, model);
+    let (mut world, [first, second], seen) = pair(1, ClockModel::PERFECT, StampModel::EXACT, model);
     for (from, to, latency_us) in [(first, second, 35), (second, first, 7)] {
-        let left = send(&mut world, from);
+        let left = send(&mut world, from, &seen);
         assert_eq!(probe(&world, to).stamps[0].0.as_us(), left.as_us() + latency_us);
     }
 }

@@ -47,7 +47,7 @@ impl ClockWorld {
         crystal_ppm: CRYSTAL_PPM,
         ramp: Ramp { ppm_per_s: 0.01, ppm_max: 2.0 },
         tick: Span::from_us(1),
-        stamps: StampModel { delayed_part: 0.3, delay_mean: Span::from_us(8) },
+        stamps: StampModel { delayed_part: 0.3, delay_mean: Span::from_us(8), ..StampModel::EXACT },
         boots_within: Span::from_us(50_000),
         link: LinkModel::WIRE,
     };

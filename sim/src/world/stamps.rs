@@ -1,14 +1,26 @@
 //! Stamps of frames: what a node's interrupts make of the instants at which first bytes come and go.
 //!
-//! - **Walk:** first byte on the wire → *this delay* → the counter is read → the stamp.
+//! - **Walk:** first byte on the wire → *this delay* → the counter is read → the stamp. Of a frame that leaves: see [`Departure`].
 //! - **Invariants:** a stamp is never before what it stamps on arrival, and never after the hand-over. Each node draws from a stream of its
 //!   own, so that one node's delays do not change another's.
-//! - **Context:** the thread that steps the world. **Clause:** `[FRM-07]`.
+//! - **Context:** the thread that steps the world. **Clauses:** `[FRM-07]`, `[TIM-03]`, `[TIM-04]`.
 
 use crate::time::{Clock, TrueTime};
 use fixed_math::time::{LocalTicks, Span};
 use rand::RngExt;
 use rand_pcg::Pcg64;
+
+/// On which side of a departure its delay lies.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Departure {
+    /// The counter is read, then the first byte is held up: the stamp is early. So it is where the timer is read right before the
+    /// write that sends the byte.
+    #[default]
+    StampedBefore,
+    /// The first byte leaves, then the counter is read: the stamp is late. So it is where an interrupt tells of the departure. No bound
+    /// that is built on "not before its stamp" holds then.
+    StampedAfter,
+}
 
 /// How well a node stamps.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -17,11 +29,13 @@ pub struct StampModel {
     pub delayed_part: f64,
     /// Mean of those delays, which are distributed exponentially.
     pub delay_mean: Span,
+    /// On which side of a departure the delay lies.
+    pub departure: Departure,
 }
 
 impl StampModel {
     /// No stamp is delayed.
-    pub const EXACT: Self = Self { delayed_part: 0.0, delay_mean: Span::ZERO };
+    pub const EXACT: Self = Self { delayed_part: 0.0, delay_mean: Span::ZERO, departure: Departure::StampedBefore };
 }
 
 /// A node's stamps.
@@ -54,9 +68,18 @@ impl Stamps {
         let delay = self.delay(now.since(started));
         clock.local(started + delay)
     }
+
+    /// The stamp of a frame of `takes` wire time that may leave at `now`, and by how much later it leaves.
+    pub(super) fn departure(&mut self, clock: &Clock, now: TrueTime, takes: Span) -> (LocalTicks, Span) {
+        let delay = self.delay(takes);
+        match self.model.departure {
+            Departure::StampedBefore => (clock.local(now), delay),
+            Departure::StampedAfter => (clock.local(now + delay), Span::ZERO),
+        }
+    }
 }
 
-/// Tells the stamps' generator from all others that are seeded with the same number.
+/// Tell the stamps' generators from all others that are seeded with the same number.
 const STATE: u128 = 0x5354_414d_5053 << 64;
 const STREAM: u128 = 0x5354_414d_5053 << 80;
 
@@ -68,7 +91,7 @@ mod tests {
     /// 0.19 µs of the mean (8 µs/√30,000 = 0.046 µs).
     #[test]
     fn delays_have_their_part_and_their_mean() {
-        let model = StampModel { delayed_part: 0.3, delay_mean: Span::from_us(8) };
+        let model = StampModel { delayed_part: 0.3, delay_mean: Span::from_us(8), ..StampModel::EXACT };
         let mut stamps = Stamps::new(model, 1, 0);
         let delays: Vec<u64> =
             (0..100_000).map(|_| stamps.delay(Span::MAX).steps()).filter(|steps| *steps > 0).collect();
@@ -82,7 +105,7 @@ mod tests {
     /// A stamp is in the frame, or with the routing task, before the next thing happens to the frame.
     #[test]
     fn no_delay_is_beyond_its_limit() {
-        let model = StampModel { delayed_part: 1.0, delay_mean: Span::from_us(80) };
+        let model = StampModel { delayed_part: 1.0, delay_mean: Span::from_us(80), ..StampModel::EXACT };
         let mut stamps = Stamps::new(model, 1, 0);
         let clock = Clock::new(crate::time::ClockModel::PERFECT, TrueTime::ZERO);
         let (started, now) = (TrueTime::from_us(100), TrueTime::from_us(150));

@@ -437,7 +437,7 @@ impl World {
         }
         loop {
             let station = &mut self.stations[node.at()];
-            let page = station.endpoint.debug().page(station.debug_cursor);
+            let page = station.endpoint.debug().page(station.debug_cursor, None);
             station.debug_cursor = page.next;
             if page.events.is_empty() {
                 return;

@@ -7,7 +7,7 @@
 
 use super::flights::{Flight, Over};
 use super::queue::What;
-use super::station::{Attachment, Gate};
+use super::station::{Attachment, Gate, Station};
 use super::{FRAME_BYTES_MAX, NodeId, TapEvent, World, is_announcement};
 use crate::faults::FaultLayer;
 use crate::time::TrueTime;
@@ -101,8 +101,9 @@ impl World {
             self.request(bus, drop);
         } else {
             let mut packet = std::mem::take(&mut self.packet);
-            if let Some(Outgoing { len, .. }) = self.take_output(node, gate, &mut packet) {
-                self.send(node, gate, &packet[..len]);
+            if let Some(Outgoing { len, is_stamped, .. }) = self.take_output(node, gate, &mut packet) {
+                let held_up = if is_stamped { self.stamp(node, gate, &mut packet[..len]) } else { Span::ZERO };
+                self.send(node, gate, &packet[..len], held_up);
             }
             self.packet = packet;
         }
@@ -117,9 +118,19 @@ impl World {
         outgoing
     }
 
-    /// Frames a packet and puts its first byte on a link or hands it outside.
-    fn send(&mut self, node: NodeId, at: usize, packet: &[u8]) {
-        let now = self.now;
+    /// Writes the stamp of its departure into a packet that ends in a slot for it, `[TIM-03]`; tells by how much its first byte is later
+    /// than now.
+    fn stamp(&mut self, node: NodeId, gate: usize, packet: &mut [u8]) -> Span {
+        let Station { clock, stamps, gates, .. } = &mut self.stations[node.at()];
+        let takes = gates[gate].wire_time(packet.len());
+        let (departed, held_up) = stamps.departure(clock, self.now, takes);
+        osap_protocol::time::stamp(packet, departed);
+        held_up
+    }
+
+    /// Frames a packet and puts its first byte, `held_up` from now, on a link, or hands it outside.
+    fn send(&mut self, node: NodeId, at: usize, packet: &[u8], held_up: Span) {
+        let left = self.now + held_up;
         let mut frame = self.flights.buffer();
         let gate = &mut self.stations[node.at()].gates[at];
         encode_frame(&[packet], gate, &mut frame);
@@ -132,7 +143,7 @@ impl World {
         self.count_frame(&frame);
         match attachment {
             Attachment::Link { link, way } => {
-                self.tap(link, way, node, packet);
+                self.tap(link, way, node, left, packet);
                 let it = &mut self.links[link as usize];
                 let stats = &mut it.ways[usize::from(way)].stats;
                 stats.frames += 1;
@@ -143,7 +154,7 @@ impl World {
                 } else if it.ways[usize::from(way)].faults.is_some() {
                     it.ways[usize::from(way)].leaving = Some(frame);
                 } else {
-                    let flight = self.fly(link, way, now, takes, frame, quiet);
+                    let flight = self.fly(link, way, left, takes, frame, quiet);
                     self.stations[node.at()].gates[at].leaving = Some(flight);
                 }
             }
@@ -153,7 +164,7 @@ impl World {
             }
             Attachment::Bus { .. } => unreachable!("a bus is granted"),
         }
-        self.queue.plan(now + takes, What::Sent { node, gateway: index, token });
+        self.queue.plan(left + takes, What::Sent { node, gateway: index, token });
     }
 
     /// Lets a frame whose first byte leaves at `left` arrive over a link.
@@ -292,9 +303,9 @@ impl World {
         self.digest_bytes(frame);
     }
 
-    fn tap(&mut self, link: u32, way: u8, from: NodeId, packet: &[u8]) {
+    fn tap(&mut self, link: u32, way: u8, from: NodeId, at: TrueTime, packet: &[u8]) {
         if let Some(tap) = &mut self.links[link as usize].tap {
-            tap(&TapEvent { at: self.now, from, way: usize::from(way), packet });
+            tap(&TapEvent { at, from, way: usize::from(way), packet });
         }
     }
 }
