@@ -19,11 +19,20 @@
 //! exchange; all that are known are intersected. Their difference is the round trip less what is certain of it: where that is negative
 //! the four stamps contradict the wire.
 //!
+//! The rate's uncertainty is no sigma either. Two such intervals T apart hold the mean rate between them to the sum of their widths
+//! over T; a rate that changes by c a second at most is within c·T/2 of that mean at the later end. Before there are two, the rate is
+//! within six sigmas of what the oscillators promise. The earlier of the two is an anchor between half of √(2w/c) and that old, w being
+//! the present width, which is where w/T and c·T/2 are equal and their sum is least.
+//!
 //! - **Walk:** [`LinkClock::observe`](super::LinkClock::observe) and [`LinkClock::bound_at`](super::LinkClock::bound_at).
-//! - **Invariants:** every rounding widens.
-//! - **Context:** any.
+//! - **Invariants:** every rounding widens. What is certain rests on three promises and on nothing measured: the departure stamps', the
+//!   oscillators' range, and `c`.
+//! - **Context:** once an exchange: two 128-bit products and one 64-bit division.
 
-/// Between what steps the truth lies, relative to some reference.
+use super::wide::Reciprocal;
+use crate::time::{LocalTicks, PeerTicks, Rate};
+
+/// Between what the truth lies, relative to some reference.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Interval {
     pub(super) lowest: i64,
@@ -31,7 +40,15 @@ pub(super) struct Interval {
 }
 
 impl Interval {
-    /// The same, wider by `by` to either side, relative to a reference `moved` steps later.
+    /// All there is.
+    const ALL: Self = Self { lowest: i64::MIN, highest: i64::MAX };
+
+    /// As far to either side.
+    const fn around(reach: i64) -> Self {
+        Self { lowest: -reach, highest: reach }
+    }
+
+    /// The same, wider by `by` to either side, relative to a reference `moved` later.
     pub(super) const fn widened(self, by: i64, moved: i64) -> Self {
         Self {
             lowest: self.lowest.saturating_sub(moved).saturating_sub(by),
@@ -40,15 +57,156 @@ impl Interval {
     }
 
     /// What both allow, or `None` where they contradict each other.
-    pub(super) fn and(self, other: Self) -> Option<Self> {
+    fn and(self, other: Self) -> Option<Self> {
         let both = Self { lowest: self.lowest.max(other.lowest), highest: self.highest.min(other.highest) };
         (both.lowest <= both.highest).then_some(both)
     }
 
-    /// How far the reference is from the truth at most.
-    pub(super) const fn reach(self) -> u64 {
-        let (below, above) = (self.lowest.saturating_neg(), self.highest);
+    /// The nearest there is to `value`.
+    fn nearest(self, value: i64) -> i64 {
+        value.max(self.lowest).min(self.highest)
+    }
+
+    /// How far `value` is from the truth at most.
+    const fn reach(self, value: i64) -> i64 {
+        let (below, above) = (value.saturating_sub(self.lowest), self.highest.saturating_sub(value));
         let farther = if below > above { below } else { above };
-        if farther < 0 { 0 } else { farther.cast_unsigned() }
+        if farther < 0 { 0 } else { farther }
     }
 }
+
+/// What was certain at an exchange.
+#[derive(Clone, Copy, Debug)]
+struct Anchor {
+    at: LocalTicks,
+    peer: PeerTicks,
+    offset: Interval,
+}
+
+/// Where the peer's counter and its rate certainly are.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Certain {
+    /// Relative to `reference.peer`, at `reference.at`.
+    reference: Anchor,
+    /// In 2^−40.
+    rate: Interval,
+    /// What the rate is within before anything was measured, 2^−40, either way.
+    range: i64,
+    /// What the rate gains at most in 2^28 steps (1.05 s), 2^−32.
+    ramp: i64,
+    /// The farthest of `rate` from the estimate.
+    drift: Rate,
+    older: Anchor,
+    newer: Anchor,
+}
+
+impl Certain {
+    /// Of a link whose rate is within `range`, and gains `ramp` a second at most.
+    pub(super) const fn new(range: Rate, ramp: Rate) -> Self {
+        let none = Anchor { at: LocalTicks::ZERO, peer: PeerTicks::ZERO, offset: Interval::ALL };
+        let widest = (range.bits() as i64) << 8;
+        // 2^20 over 10^6
+        let ramp = (ramp.bits().unsigned_abs() as i64 * 1_049 / 1_000) + 1;
+        Self {
+            reference: none,
+            rate: Interval::around(widest),
+            range: widest,
+            ramp,
+            drift: range,
+            older: none,
+            newer: none,
+        }
+    }
+
+    /// How far the estimated rate is from the true one at most, at the last exchange.
+    pub(super) const fn drift(&self) -> Rate {
+        self.drift
+    }
+
+    /// What the rate gains at most in `steps`, which are not negative.
+    pub(super) const fn ramped(&self, steps: i64) -> Rate {
+        Rate::saturated((self.ramp.saturating_mul(steps) >> 28) + 1)
+    }
+
+    /// How far the estimate, which is the reference, is from the truth at most, `steps` before or after it.
+    pub(super) const fn reach(&self, steps: i64) -> u64 {
+        self.reference.offset.reach(0).saturating_add(self.widening(steps)).cast_unsigned()
+    }
+
+    /// What the interval gains in `steps`, which are not negative: the rate's uncertainty, and half of what that gains meanwhile.
+    const fn widening(&self, steps: i64) -> i64 {
+        self.drift.over(steps).saturating_add(self.ramped(steps).over(steps) >> 1).saturating_add(3)
+    }
+
+    /// Begins with one exchange: the estimate is `peer` at `at`. Returns how far it has to move to be inside.
+    pub(super) fn start(&mut self, at: LocalTicks, peer: PeerTicks, said: Interval) -> i64 {
+        self.reference = Anchor { at, peer, offset: said };
+        self.rate = Interval::around(self.range);
+        self.enclose()
+    }
+
+    /// Whether an exchange `steps` later that says `said`, relative to the prediction, agrees with what was certain; the intersection.
+    pub(super) fn later(&self, steps: i64, said: Interval) -> Option<Interval> {
+        self.reference.offset.widened(self.widening(steps), 0).and(said)
+    }
+
+    /// Moves the reference to an exchange `steps` later, where the estimate is `peer` and the truth within `offset` of that. Returns how
+    /// far the estimate has to move to be inside, or `None` where the rates contradict each other.
+    pub(super) fn advance(&mut self, steps: i64, peer: PeerTicks, offset: Interval) -> Option<i64> {
+        let at = self.reference.at.shifted(steps);
+        self.reference = Anchor { at, peer, offset };
+        let ramped = i64::from(self.ramped(steps).bits()) << 8;
+        let since = self.reference.at.steps_after(self.older.at);
+        let slope = self.slope(since)?.widened(i64::from(self.ramped(since).bits()) << 7, 0);
+        self.rate = self.rate.widened(ramped, 0).and(slope)?.and(Interval::around(self.range))?;
+        let age = at.steps_after(self.newer.at);
+        let width = offset.highest.saturating_sub(offset.lowest);
+        // c·T²/2 > w/4: half the best age
+        if self.ramped(age).over(age) > width >> 1 {
+            self.older = self.newer;
+            self.newer = self.reference;
+        }
+        let out = offset.nearest(0);
+        self.reference.peer = peer.shifted(out);
+        self.reference.offset = offset.widened(0, out);
+        Some(out)
+    }
+
+    /// The nearest to `skew` that the rate can be, both in 2^−40; from there its uncertainty counts.
+    pub(super) fn rate_near(&mut self, skew: i64) -> i64 {
+        let nearest = self.rate.nearest(skew);
+        // rounded to 2^−32 when it is used
+        self.drift = Rate::saturated((self.rate.reach(nearest) >> 8) + 2);
+        nearest
+    }
+
+    /// Between what the mean rate since the older anchor lies, `since` steps ago, 2^−40.
+    fn slope(&self, since: i64) -> Option<Interval> {
+        if since <= 0 {
+            return Some(Interval::ALL);
+        }
+        let (now, then) = (self.reference, self.older);
+        let rise = now.peer.steps_after(then.peer).saturating_sub(since);
+        let lowest = rise.saturating_add(now.offset.lowest).saturating_sub(then.offset.highest);
+        let highest = rise.saturating_add(now.offset.highest).saturating_sub(then.offset.lowest);
+        let over = Reciprocal::of(since);
+        let rate = |steps: i64| over.times(steps.clamp(-MOST, MOST) << 16, 24);
+        // a quotient is a part in 2^30 and a unit off at most
+        let (lowest, highest) = (rate(lowest), rate(highest));
+        let between =
+            Interval { lowest: lowest - (lowest.abs() >> 30) - 2, highest: highest + (highest.abs() >> 30) + 2 };
+        (lowest <= highest).then_some(between)
+    }
+
+    /// Moves the reference into the interval, and makes it the only anchor.
+    fn enclose(&mut self) -> i64 {
+        let Anchor { at, peer, offset } = self.reference;
+        let out = offset.nearest(0);
+        self.reference = Anchor { at, peer: peer.shifted(out), offset: offset.widened(0, out) };
+        (self.older, self.newer) = (self.reference, self.reference);
+        out
+    }
+}
+
+/// Steps that still fit when they are taken as µs in Q24; what is farther counts as that.
+const MOST: i64 = 1 << 46;

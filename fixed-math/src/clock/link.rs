@@ -10,7 +10,7 @@
 //!   two, and two square roots; all else is 64 bits.
 
 use super::covariance::{CAP, Covariance, Gains};
-use super::interval::Interval;
+use super::interval::{Certain, Interval};
 use super::line::{Estimate, PeerEstimate, TimeLine, backwards, distance, forwards, grown};
 use super::roundtrip::ShortestRoundTrip;
 use super::wide::{Reciprocal, hypotenuse, mul_shift, root_ceil};
@@ -35,13 +35,17 @@ const AGILITY: i64 = 17_400;
 const AGILITY_LOG2: core::ops::RangeInclusive<i8> = -4..=14;
 /// Agreeing signs of successive surprises, less those that do not agree, at which the skew is taken to walk faster, or slower.
 const LEAN_MAX: i8 = 8;
+/// Exchanges until the shortest round trip is believed to be one without delays: none of 32 is with a probability of 0.76^32, 1 in 6500,
+/// where 30 % of stamps are delayed.
+const SETTLED: u32 = 32;
+
 /// Square of the most sigmas a surprise may have: 2^this.
 const GATE_LOG2: u32 = 5;
-/// Sigmas of the rate that count as certain.
+/// Sigmas of the rate beforehand that count as certain.
 const CERTAIN: i64 = 6;
-/// Fastest change of the relative rate, 0.02 ppm a second, over 2.5 s: 0.05 ppm, what the rate may be off beyond its sigmas while an
-/// estimate lives.
-const FLOOR: Rate = Rate::from_ppb(50);
+/// What an estimate lives on without news, 2.5 s: its drift counts for what the rate may gain in that time, and so covers what the
+/// square of the time adds in twice as long.
+const LIFE: i64 = 640_000_000;
 
 /// What was refused last, in case it goes on.
 #[derive(Clone, Copy, Debug)]
@@ -80,9 +84,7 @@ pub struct LinkClock {
     /// Skew: µs in Q24 for a unit of 2^16 µs, which is the rate in 2^−40.
     skew: i64,
     covariance: Covariance,
-    /// Relative to `peer`.
-    certain: Interval,
-    drift: Rate,
+    certain: Certain,
     agility_log2: i8,
     lean: i8,
     /// The last surprise, for its sign.
@@ -118,9 +120,8 @@ impl LinkClock {
             above: 0,
             skew: 0,
             covariance: Covariance::apart(CAP, skew),
-            certain: Interval { lowest: i64::MIN, highest: i64::MAX },
-            drift: certain_rate(traits.rate_sigma),
-            agility_log2: 0,
+            certain: Certain::new(certain_rate(traits.rate_sigma), traits.ramp),
+            agility_log2: agility_at_first(traits.ramp),
             lean: 0,
             surprise: 0,
             answered: PeerTicks::ZERO,
@@ -139,9 +140,8 @@ impl LinkClock {
         let (restarts, contradictions) = (self.restarts, self.contradictions);
         *self = Self { restarts, contradictions, ..Self::new(self.traits) };
         if let Some(rate) = hot {
-            self.skew = i64::from(rate.bits()) << 8;
+            self.skew = self.certain.rate_near(i64::from(rate.bits()) << 8);
             self.covariance.skew = self.covariance.skew.min(HOT);
-            self.drift = self.certain_drift();
         }
     }
 
@@ -176,7 +176,6 @@ impl LinkClock {
             return self.refuse(exchange, &measured, Fault::Absurd);
         }
         self.intersect(steps, moved, measured.certain.widened(0, (moved >> BELOW_STEP) - ahead));
-        self.at = measured.at;
         self.accept(exchange, &measured);
         self.offset_steps = surprise >> BELOW_STEP;
         Ok(())
@@ -252,15 +251,13 @@ impl LinkClock {
         if !self.is_started() {
             return Span::MAX;
         }
-        let away = distance(local.steps_after(self.at));
-        // one for rounding of the line
-        Span::from_steps(self.certain.reach().saturating_add(self.widening(away).cast_unsigned()).saturating_add(1))
+        Span::from_steps(self.certain.reach(distance(local.steps_after(self.at))))
     }
 
-    /// How fast the bound grows: six sigmas of the rate, and 0.05 ppm for what the rate may change by meanwhile.
+    /// How fast the bound grows: how far the rate can be off, and what it may gain in 2.5 s.
     #[must_use]
     pub const fn drift(&self) -> Rate {
-        self.drift
+        self.certain.drift().plus(self.certain.ramped(LIFE))
     }
 
     /// Time on the way there and back in the last exchange, in the peer's units.
@@ -291,7 +288,7 @@ impl LinkClock {
         let bound = bound.saturating_add(longer).saturating_add(peer.bound.steps());
         let bound = bound.saturating_add(grown(peer.drift, distance(since))).saturating_add(1);
         // the peer's drift is per unit of its counter: a 16th more covers any rate there is
-        let drift = i64::from(self.drift.bits()) + i64::from(peer.drift.bits().max(0));
+        let drift = i64::from(self.drift().bits()) + i64::from(peer.drift.bits().max(0));
         Estimate {
             line: TimeLine { at, system, rate },
             error: Span::from_steps(hypotenuse(self.error_at(at).steps(), peer.error.steps())),
@@ -314,7 +311,8 @@ impl LinkClock {
         let (rate, half) = (self.rate(), away >> 1);
         let (tick, late) = (cut(self.traits.tick.steps(), EXCHANGE_MAX), cut(self.traits.late.steps(), EXCHANGE_MAX));
         let (before, after) = (half + late, away - half + tick);
-        let slack = self.drift.over(before.max(after)) + 2;
+        let since = if self.is_started() { distance(sent.steps_after(self.at)) } else { 0 };
+        let slack = self.certain.drift().plus(self.certain.ramped(since)).over(before.max(after)) + 2;
         let certain = Interval {
             lowest: turn - late + self.back - forwards(rate, after) - slack,
             highest: tick - self.there + forwards(rate, before) + slack,
@@ -339,11 +337,12 @@ impl LinkClock {
             .saturating_add(square_q36(measured.round_trip << (BELOW_STEP - 1)).unwrap_or(CAP).min(CAP));
         self.covariance = Covariance::apart(noise, self.covariance.skew);
         self.at = measured.at;
-        self.peer = exchange.heard.shifted(measured.after_heard >> BELOW_STEP);
-        self.above = measured.after_heard & 0xffff;
-        self.certain = measured.certain.widened(0, measured.after_heard >> BELOW_STEP);
+        let (at, whole) = (measured.at, measured.after_heard >> BELOW_STEP);
+        self.settle(exchange.heard.shifted(whole), measured.after_heard & 0xffff);
+        let out = self.certain.start(at, self.peer, measured.certain.widened(0, whole));
+        self.shift(out);
+        self.at = at;
         self.offset_steps = 0;
-        self.enclose();
         self.accept(exchange, measured);
     }
 
@@ -352,14 +351,14 @@ impl LinkClock {
         self.answered = exchange.answered;
         self.shortest.take(measured.round_trip);
         self.round_trip = Span::from_steps(measured.round_trip.max(0).cast_unsigned());
-        self.drift = self.certain_drift();
+        self.skew = self.certain.rate_near(self.skew);
         self.candidate = None;
         self.exchanges = self.exchanges.saturating_add(1);
     }
 
     /// Time passes, and the surprise is shared between offset and skew; `None` where it is too large, and nothing has changed then.
     fn filter(&mut self, steps: i64, moved: i64, surprise: i64, measured: &Measured) -> Option<()> {
-        let noise = self.noise_of(self.shortest.excess(measured.round_trip));
+        let noise = self.noise_of(self.excess(measured.round_trip));
         let (agility, square) = (self.agility(), square_q36(surprise));
         let (offset, skew) = if let Some(later) = self.covariance.after(steps, agility) {
             let (sum, square) = (later.offset + noise, square?);
@@ -381,8 +380,7 @@ impl LinkClock {
             self.covariance = Covariance::of_slope(self.covariance.offset, noise, over, steps, agility);
             (surprise, slope)
         };
-        let limit = i64::from(certain_rate(self.traits.rate_sigma).bits()) << 8;
-        self.skew = self.skew.saturating_add(skew).clamp(-limit, limit);
+        self.skew = self.skew.saturating_add(skew);
         self.above = moved + offset;
         Some(())
     }
@@ -401,25 +399,28 @@ impl LinkClock {
 
     /// What was certain before, and what the exchange says, both relative to the prediction; then the reference moves to the estimate.
     fn intersect(&mut self, steps: i64, moved: i64, said: Interval) {
-        let before = self.certain.widened(self.widening(steps), 0);
-        let both = before.and(said).unwrap_or_else(|| {
-            self.contradictions = self.contradictions.saturating_add(1);
-            said
-        });
         let whole = self.above >> BELOW_STEP;
-        self.certain = both.widened(0, whole - (moved >> BELOW_STEP));
-        self.peer = self.peer.shifted(steps.saturating_add(whole));
-        self.above &= 0xffff;
-        self.enclose();
+        let correction = whole - (moved >> BELOW_STEP);
+        self.at = self.at.shifted(steps);
+        self.settle(self.peer.shifted(steps.saturating_add(whole)), self.above & 0xffff);
+        let both = self.certain.later(steps, said);
+        let out = both.and_then(|both| self.certain.advance(steps, self.peer, both.widened(0, correction)));
+        let out = out.unwrap_or_else(|| {
+            self.contradictions = self.contradictions.saturating_add(1);
+            self.certain.start(self.at, self.peer, said.widened(0, correction))
+        });
+        self.shift(out);
+    }
+
+    /// The estimate is `peer`, and `above` it.
+    fn settle(&mut self, peer: PeerTicks, above: i64) {
+        (self.peer, self.above) = (peer, above);
     }
 
     /// Moves an estimate outside what is certain to its border.
-    fn enclose(&mut self) {
-        let out = if self.certain.lowest > 0 { self.certain.lowest } else { self.certain.highest.min(0) };
+    fn shift(&mut self, out: i64) {
         if out != 0 {
-            self.peer = self.peer.shifted(out);
-            self.above = 0;
-            self.certain = self.certain.widened(0, out);
+            self.settle(self.peer.shifted(out), 0);
         }
     }
 
@@ -427,7 +428,7 @@ impl LinkClock {
     fn refuse(&mut self, exchange: &Exchange, measured: &Measured, fault: Fault) -> Result<(), Fault> {
         let this = (measured.at, exchange.heard.shifted(measured.after_heard >> BELOW_STEP));
         let run = match self.candidate {
-            Some(last) if agrees(last, this, self.drift, measured.round_trip) => last.run + 1,
+            Some(last) if agrees(last, this, self.drift(), measured.round_trip) => last.run + 1,
             _ => 1,
         };
         self.candidate = Some(Candidate { at: this.0, peer: this.1, run });
@@ -438,9 +439,29 @@ impl LinkClock {
         self.restarts = self.restarts.saturating_add(1);
         self.restart(None);
         // most likely the same crystal, but nobody said so
-        self.skew = i64::from(rate.bits()) << 8;
+        self.skew = self.certain.rate_near(i64::from(rate.bits()) << 8);
         self.start(exchange, measured);
         Ok(())
+    }
+
+    /// How much longer than without delays a round trip is, but for what rounding of its stamps explains: above the shortest, once that is
+    /// known, and above what is certain before.
+    ///
+    /// Four roundings add up to anything within two ticks of none, and within one tick 11 times of 12. The shortest has most of two
+    /// ticks taken off, so one and a half above it is what most exchanges without delays come to. Where departures may be stamped late,
+    /// the shortest are those that were; then only what is certain of the wire counts, and how far either way.
+    fn excess(&self, round_trip: i64) -> i64 {
+        let certain = round_trip.saturating_sub(self.there + self.back);
+        if self.traits.late > Span::ZERO {
+            return distance(certain);
+        }
+        let tick = cut(self.traits.tick.steps(), 1 << 20);
+        let excess = if self.exchanges < SETTLED {
+            certain.saturating_sub(tick)
+        } else {
+            self.shortest.excess(round_trip).saturating_sub(tick + (tick >> 1))
+        };
+        excess.max(0)
     }
 
     /// Variance of an exchange whose round trip is `excess` steps above the shortest.
@@ -452,19 +473,6 @@ impl LinkClock {
     /// How the skew walks, µs² in Q36 for a unit of time.
     const fn agility(&self) -> i64 {
         if self.agility_log2 < 0 { AGILITY >> self.agility_log2.unsigned_abs() } else { AGILITY << self.agility_log2 }
-    }
-
-    /// [`LinkClock::drift`], from the covariance.
-    fn certain_drift(&self) -> Rate {
-        // µs in Q18 for 2^16 µs is 2^−34
-        Rate::saturated((root_ceil(self.covariance.skew).saturating_mul(CERTAIN) >> 2) + 1).plus(FLOOR)
-    }
-
-    /// What the interval gains in `steps`, which are not negative: drift, and half of 0.02 ppm/s by the square of the time.
-    const fn widening(&self, steps: i64) -> i64 {
-        // in 2^−6 of a unit of 65.5 ms; 0.011 steps for a unit squared
-        let time = if steps > GAP_MAX { GAP_MAX >> 18 } else { steps >> 18 };
-        self.drift.over(steps).saturating_add(((time * time * 46) >> 24) + 2)
     }
 }
 
@@ -481,9 +489,19 @@ const fn prior(sigma: Rate) -> i64 {
     (bits * bits) << 4
 }
 
-/// Six of it, and 0.05 ppm: within that the rate certainly is before anything was measured.
+/// Six of it: within that the rate certainly is before anything was measured.
 const fn certain_rate(sigma: Rate) -> Rate {
-    Rate::saturated(cut(sigma.bits().unsigned_abs() as u64, 1 << 27) * CERTAIN).plus(FLOOR)
+    Rate::saturated(cut(sigma.bits().unsigned_abs() as u64, 1 << 27) * CERTAIN)
+}
+
+/// How far [`AGILITY`] is doubled at first: as often as the ramp's doublings over a crystal's, halved, since one that never ramps is paid
+/// for too.
+const fn agility_at_first(ramp: Rate) -> i8 {
+    let times = ramp.bits().unsigned_abs() / LinkTraits::CRYSTAL.ramp.bits().unsigned_abs();
+    // a logarithm of 32 bits
+    #[expect(clippy::cast_possible_truncation, reason = "at most 15")]
+    let doubled = if times == 0 { 0 } else { (times.ilog2() / 2) as i8 };
+    if doubled > *AGILITY_LOG2.end() { *AGILITY_LOG2.end() } else { doubled }
 }
 
 /// The square of µs in Q24, as µs² in Q36; `None` from 8.2 ms on.

@@ -69,6 +69,8 @@ pub struct LinkTraits {
     /// One sigma of the relative rate before anything was measured: 40 ppm for crystals, 10⁻² for an RC oscillator. Three in a hundred
     /// at most. Six of them are the most that is ever believed.
     pub rate_sigma: Rate,
+    /// What the relative rate gains at most in a second, either way: 0.02 ppm for crystals in a room, 20 ppm for an RC oscillator.
+    pub ramp: Rate,
 }
 
 impl LinkTraits {
@@ -79,9 +81,10 @@ impl LinkTraits {
         late: Span::ZERO,
         asymmetry_steps: 0,
         rate_sigma: Rate::from_ppb(40_000),
+        ramp: Rate::from_ppb(20),
     };
     /// As [`LinkTraits::CRYSTAL`], one of the two clocked by an RC oscillator.
-    pub const RC: Self = Self { rate_sigma: Rate::from_ppb(10_000_000), ..Self::CRYSTAL };
+    pub const RC: Self = Self { rate_sigma: Rate::from_ppb(10_000_000), ramp: Rate::from_ppb(20_000), ..Self::CRYSTAL };
 }
 
 /// Why an exchange was refused.
