@@ -1,7 +1,7 @@
 //! The stages that packets pass, in order: the walk that a reader of the code can follow by file name.
 //!
-//! - **Walk:** all of it. **Invariant:** stages inside a node come from the node's own debug ring, the others from the world; link
-//!   announcements are left out.
+//! - **Walk:** all of it. **Invariant:** stages inside a node come from the node's own debug ring, the others from the world; what is a
+//!   link's own, announcements and time, is left out.
 //! - **Context:** recorded where [`World::record_walk`](crate::world::World::record_walk) asks for it; nothing is kept otherwise.
 
 use crate::time::TrueTime;

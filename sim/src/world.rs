@@ -571,8 +571,8 @@ impl std::fmt::Debug for World {
     }
 }
 
-/// Whether a packet on a wire is a link announcement: one step, then a system message.
-fn is_announcement(packet: &[u8]) -> bool {
+/// Whether a packet on a wire is the link's own, an announcement or about time: one step, then a system message.
+fn is_the_links_own(packet: &[u8]) -> bool {
     Packet::check(packet).is_ok_and(|view| {
         view.pointer() == 5 && packet.get(view.after_instruction()).is_some_and(|instruction| instruction >> 6 == 0)
     })

@@ -23,17 +23,17 @@ type Seen = Arc<Mutex<Vec<(TrueTime, usize, Vec<u8>)>>>;
 fn pair(seed: u64, clock: ClockModel, stamps: StampModel, model: LinkModel) -> (World, [NodeId; 2], Seen) {
     let mut world = World::new(seed);
     let first = add_probe(&mut world, &[UART]);
-    let second = world.add_node(Probe::new(&[UART]), Processor::INSTANT, clock);
+    let second = world.add_node(Probe::numbered(1, &[UART]), Processor::INSTANT, clock);
     world.set_stamps(second, stamps);
     let link = world.connect((first, gateway(0)), (second, gateway(0)), model);
-    let seen = Seen::default();
-    let tapped = Arc::clone(&seen);
+    let packets = Seen::default();
+    let tapped = Arc::clone(&packets);
     world.tap_link(
         link,
         Box::new(move |event| tapped.lock().unwrap().push((event.at, event.way, event.packet.to_vec()))),
     );
     world.run_for(us(10_000));
-    (world, [first, second], seen)
+    (world, [first, second], packets)
 }
 
 /// Sends 20 bytes from one to the other; tells when their first byte left, for nodes ask each other for the time as well.

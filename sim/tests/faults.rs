@@ -112,13 +112,16 @@ fn assert_nothing_wrong_arrived(probe: &Probe) {
 fn losses_and_copies_add_up() {
     let (world, _, b, link, sent) = send_numbered(3, UART, "loss=0.1,dup=0.05,reorder=0.05,jitter=300us,seed=5", 3_000);
     let faults = world.link_faults(link)[0].unwrap();
-    let received = u64::from(probe(&world, b).node.gateway(gateway(0)).unwrap().info().received);
+    let node = &probe(&world, b).node;
+    // a copy of an answer about time was not asked for, one that was overtaken is not of the last question
+    let refused = node.counters().of(DropCause::TimeUnasked) + node.counters().of(DropCause::TimeOrder);
+    let received = u64::from(node.gateway(gateway(0)).unwrap().info().received + refused);
     assert_eq!(faults.offered, sent.len() as u64);
     assert_eq!(received, faults.offered + faults.duplicated - faults.lost);
     assert!(faults.lost > 200 && faults.duplicated > 80 && faults.reordered > 80, "{faults:?}");
-    assert_eq!(probe(&world, b).node.counters().total(), 0);
-    let announcements = sent.iter().filter(|packet| packet.len() < 60).count() as u64;
-    assert!(probe(&world, b).datagrams.len() as u64 <= received && announcements < 30);
+    assert!(refused > 0);
+    assert_eq!(node.counters().total(), u64::from(refused));
+    assert!(probe(&world, b).datagrams.len() as u64 <= received);
     assert_all_slots_home(&world);
 }
 

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Probe, add_probe, assert_all_slots_home, gateway, over, probe, query, us, with_probe};
+use common::{Probe, add_probe, assert_all_slots_home, gateway, hush, over, probe, query, us, with_probe};
 use osap_protocol::discovery::Query;
 use osap_protocol::{BusDrop, RouteBuf, Step};
 use osap_runtime::sequenced::Destination;
@@ -17,7 +17,7 @@ use std::collections::{BTreeMap, BTreeSet};
 fn printer(seed: u64) -> (World, Printer) {
     let mut world = World::new(seed);
     let printer = printer::build(&mut world, Probe::new(&HOST_GATEWAYS), Processor::INSTANT);
-    world.run_for(us(50_000));
+    hush(&mut world);
     (world, printer)
 }
 

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{add_probe, assert_all_slots_home, gateway, over, probe, query, us, with_probe};
+use common::{add_probe, assert_all_slots_home, gateway, hush, over, probe, query, us, with_probe};
 use firmware_app::kind;
 use fixed_math::time::LocalTicks;
 use osap_protocol::discovery::Query;
@@ -27,7 +27,7 @@ fn a_round_trip_is_wire_time_and_processing_to_the_step() {
     let host = add_probe(&mut world, &[UART]);
     let device = add_device(&mut world, &kind::MOTOR, "m", vec![UART], SLOW, ClockModel::PERFECT);
     world.connect((host, gateway(0)), (device, gateway(0)), LinkModel::WIRE);
-    world.run_for(us(10_000)); // announcements are through
+    hush(&mut world);
     with_probe(&mut world, host, |it, now| it.ask(over(&[0], 0, 20_000), &query(Query::TimeControl), now));
     world.run_for(us(5_000));
     let answer = &probe(&world, host).answers[0];
@@ -51,7 +51,7 @@ fn seventy_six_bytes_take_266_67_microseconds() {
     let host = add_probe(&mut world, &[UART]);
     let other = add_probe(&mut world, &[UART]);
     let link = world.connect((host, gateway(0)), (other, gateway(0)), LinkModel::WIRE);
-    world.run_for(us(10_000));
+    hush(&mut world);
     let sent_at = world.now();
     with_probe(&mut world, host, |it, now| it.datagram(&over(&[0], 1, 20_000), &[0; 66], now).unwrap()); // 9 + 1 + 66
     let bytes_before = world.link_stats(link)[0].bytes - 80;
@@ -98,7 +98,7 @@ fn the_ttl_loses_residence_and_wire_at_every_hop() {
         );
         last = (hub, gateway(1));
     }
-    world.run_for(us(10_000));
+    hush(&mut world);
     // 9 bytes of header, 3 steps, 20 of payload: 32 bytes; 36 framed: exactly 120 µs
     with_probe(&mut world, host, |it, now| it.datagram(&over(&[0, 1, 1], 1, 5_000), &[0; 20], now).unwrap());
     world.run_for(us(3_000));
@@ -122,7 +122,7 @@ fn residence_is_measured_by_the_nodes_own_clock() {
     let far = add_probe(&mut world, &[UART]);
     world.connect((host, gateway(0)), (hub, gateway(0)), LinkModel::WIRE);
     let link = world.connect((hub, gateway(1)), (far, gateway(0)), LinkModel::WIRE);
-    world.run_for(us(20_000));
+    hush(&mut world);
     let seen = Arc::new(Mutex::new(Vec::new()));
     let tapped = Arc::clone(&seen);
     world.tap_link(
@@ -163,7 +163,7 @@ fn jitter_alone_keeps_the_order() {
     let nodes = [1, 2].map(|_| add_probe(&mut world, &[USB_HIGH_SPEED]));
     let model = LinkModel { jitter: us(500), latency: us(10), ..LinkModel::WIRE };
     world.connect((nodes[0], gateway(0)), (nodes[1], gateway(0)), model);
-    world.run_for(us(20_000));
+    hush(&mut world);
     for number in 0..200u8 {
         with_probe(&mut world, nodes[0], |it, now| it.datagram(&over(&[0], 1, 9_000), &[number], now).unwrap());
         world.run_for(us(50));

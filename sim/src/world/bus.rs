@@ -12,7 +12,7 @@
 use super::queue::What;
 use super::station::Attachment;
 use super::wire::encode_frame;
-use super::{BusId, NodeId, Tap, TapEvent, World, is_announcement};
+use super::{BusId, NodeId, Tap, TapEvent, World, is_the_links_own};
 use crate::faults::{FaultConfig, FaultCounts, FaultLayer};
 use crate::time::TrueTime;
 use fixed_math::time::{LocalTicks, Span};
@@ -184,7 +184,7 @@ impl World {
         encode_frame(&[&[to.0, from.0], packet], gate, &mut frame);
         let takes = gate.wire_time(frame.len());
         gate.token = gate.token.wrapping_add(1);
-        gate.quiet = is_announcement(packet);
+        gate.quiet = is_the_links_own(packet);
         let (gateway, token) = (gate.index, gate.token);
         self.count_frame(&frame);
         let it = &mut self.buses[bus as usize];

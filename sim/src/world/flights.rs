@@ -34,7 +34,7 @@ pub(super) struct Flight {
     pub(super) started: TrueTime,
     /// Its sender was reset before all of it had left.
     pub(super) cut: bool,
-    /// It carries a link announcement: not part of any packet's walk.
+    /// It is the link's own, an announcement or about time: not part of any packet's walk.
     pub(super) quiet: bool,
     pub(super) bytes: Vec<u8>,
 }

@@ -10,7 +10,7 @@ use super::bus::Heard;
 use super::flights::{Flight, Over};
 use super::queue::What;
 use super::stamps::Stamps;
-use super::{FRAME_BYTES_MAX, NodeId, World, is_announcement};
+use super::{FRAME_BYTES_MAX, NodeId, World, is_the_links_own};
 use crate::endpoint::Endpoint;
 use crate::processor::{Processor, RING_FRAMES};
 use crate::time::{Clock, TrueTime};
@@ -54,7 +54,7 @@ pub(super) struct Gate {
     pub(super) token: u32,
     /// The frame on its way out, while it can still be cut.
     pub(super) leaving: Option<u32>,
-    /// What leaves is a link announcement.
+    /// What leaves is the link's own.
     pub(super) quiet: bool,
     ring_frames: usize,
     deframer: Box<Deframer<FRAME_BYTES_MAX>>,
@@ -314,7 +314,7 @@ impl World {
                     *ring_frames += 1;
                     let mut bytes = flights.buffer();
                     bytes.extend_from_slice(packet);
-                    let (over, quiet) = (Over::Bus { from, stamp }, is_announcement(packet));
+                    let (over, quiet) = (Over::Bus { from, stamp }, is_the_links_own(packet));
                     let flight = Flight { to: node, gateway, over, started: began, cut: false, quiet, bytes };
                     ring.push_back(flights.launch(flight));
                 }

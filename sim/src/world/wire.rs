@@ -8,7 +8,7 @@
 use super::flights::{Flight, Over};
 use super::queue::What;
 use super::station::{Attachment, Gate, Station};
-use super::{FRAME_BYTES_MAX, NodeId, TapEvent, World, is_announcement};
+use super::{FRAME_BYTES_MAX, NodeId, TapEvent, World, is_the_links_own};
 use crate::faults::FaultLayer;
 use crate::time::TrueTime;
 use crate::walk::WalkStage;
@@ -137,7 +137,7 @@ impl World {
         let takes = gate.wire_time(frame.len());
         gate.busy = true;
         gate.token = gate.token.wrapping_add(1);
-        gate.quiet = is_announcement(packet);
+        gate.quiet = is_the_links_own(packet);
         let (index, token, quiet) = (gate.index, gate.token, gate.quiet);
         let attachment = gate.attachment;
         self.count_frame(&frame);
@@ -254,7 +254,7 @@ impl World {
             let station = &self.stations[node.at()];
             let at = station.gate(gateway).expect("links end at wired gateways");
             let takes = station.gates[at].wire_time(bytes.len());
-            let quiet = self.walk.is_some() && frame_is_announcement(&bytes, &station.gates[at]);
+            let quiet = self.walk.is_some() && frame_is_the_links_own(&bytes, &station.gates[at]);
             self.fly(link, way, now.before(takes), takes, bytes, quiet);
         }
         self.plan_faults(link, way);
@@ -275,7 +275,7 @@ impl World {
         let it = &mut self.outsides[outside as usize];
         let started = it.arrived.max(self.now);
         it.arrived = started + takes;
-        let quiet = is_announcement(packet);
+        let quiet = is_the_links_own(packet);
         let flight = Flight { to, gateway, over: Over::Outside, started, cut: false, quiet, bytes };
         let flight = self.flights.launch(flight);
         self.queue.plan(started + takes, What::Arrive { flight });
@@ -313,11 +313,11 @@ impl World {
 /// The drop that packets from outside come from, where they come in over a bus.
 const OUTSIDE_DROP: u8 = 254;
 
-/// Whether a frame that came out of a fault layer still is a link announcement.
-fn frame_is_announcement(bytes: &[u8], gate: &Gate) -> bool {
+/// Whether a frame that came out of a fault layer still is the link's own.
+fn frame_is_the_links_own(bytes: &[u8], gate: &Gate) -> bool {
     let mut packet = [0; FRAME_BYTES_MAX];
     osap_protocol::framing::decode(bytes, gate.config.check, &mut packet)
-        .is_ok_and(|len| is_announcement(&packet[..len]))
+        .is_ok_and(|len| is_the_links_own(&packet[..len]))
 }
 
 /// Writes the real frame of a packet in `parts` into `frame`.

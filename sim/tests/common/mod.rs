@@ -2,7 +2,7 @@
 #![allow(dead_code, reason = "each test file uses a part")]
 
 use fixed_math::time::{LocalTicks, Span};
-use osap_protocol::discovery::{BuildKind, Query, UniqueId};
+use osap_protocol::discovery::{BuildKind, Query, TimeSettings, UniqueId};
 use osap_protocol::header::Arrival;
 use osap_protocol::system::ANNOUNCE_TTL_US;
 use osap_protocol::transport::{SegmentHeader, Sequence, SequencedKind, Transport};
@@ -11,6 +11,7 @@ use osap_runtime::debug::DebugRing;
 use osap_runtime::segmented::{Progress, Received, Receiver, Sender};
 use osap_runtime::sequenced::{Accepted, Client, Destination, Expect};
 use osap_runtime::{Delivery, GatewayConfig, Identity, Mailbox, Node, Outbound, Outgoing, PortConfig, SendError};
+use osap_sim::device::SimDevice;
 use osap_sim::endpoint::Endpoint;
 use osap_sim::processor::Processor;
 use osap_sim::time::ClockModel;
@@ -49,13 +50,15 @@ pub(crate) struct Probe {
 
 impl Probe {
     pub(crate) fn new(gateways: &[GatewayConfig]) -> Box<Self> {
-        let identity = Identity {
-            type_name: "probe",
-            unique_id: UniqueId(*b"probe......."),
-            boot_epoch: 1,
-            version: [0, 1, 0],
-            build: BuildKind::Simulated,
-        };
+        Self::numbered(0, gateways)
+    }
+
+    /// One of several in a world: a time that comes from one's own id is not believed.
+    pub(crate) fn numbered(number: u8, gateways: &[GatewayConfig]) -> Box<Self> {
+        let mut unique_id = UniqueId(*b"probe.......");
+        unique_id.0[11] = number;
+        let identity =
+            Identity { type_name: "probe", unique_id, boot_epoch: 1, version: [0, 1, 0], build: BuildKind::Simulated };
         let mut node = Node::new(identity, "probe");
         let port = node.add_port(PORT).unwrap();
         for config in gateways {
@@ -223,7 +226,8 @@ pub(crate) fn query(key: Query) -> [u8; 2] {
 
 /// Adds a probe whose processor takes no time.
 pub(crate) fn add_probe(world: &mut World, gateways: &[GatewayConfig]) -> NodeId {
-    world.add_node(Probe::new(gateways), Processor::INSTANT, ClockModel::PERFECT)
+    let number = u8::try_from(world.nodes().count()).unwrap();
+    world.add_node(Probe::numbered(number, gateways), Processor::INSTANT, ClockModel::PERFECT)
 }
 
 /// Does something with the probe now, and lets the world see to what that left to do.
@@ -234,6 +238,23 @@ pub(crate) fn with_probe<T>(world: &mut World, id: NodeId, act: impl FnOnce(&mut
     probe.run(now);
     world.poke(id);
     result
+}
+
+/// Lets nodes find each other and ask each other for the time, and has them ask again in 8.75 s at the earliest, so that until then no
+/// message but an announcement, four times a second, is on any wire.
+pub(crate) fn hush(world: &mut World) {
+    for node in world.nodes() {
+        let clock = if let Some(probe) = world.endpoint_mut::<Probe>(node) {
+            probe.node.clock_mut()
+        } else if let Some(device) = world.endpoint_mut::<SimDevice>(node) {
+            device.node_mut().clock_mut()
+        } else {
+            continue;
+        };
+        clock.set(TimeSettings { interval_us: 10_000_000, ..clock.settings() }).unwrap();
+    }
+    // bursts take 360 ms, and may begin again when roots are found; the announcements of 1 s are through
+    world.run_for(us(1_010_000));
 }
 
 pub(crate) fn probe(world: &World, id: NodeId) -> &Probe {
