@@ -18,7 +18,10 @@
 
 mod clock;
 
-pub use clock::{ServoKind, TIER_FREE_RUNNING, TimeAsymmetry, TimeControl, TimeLink, TimeSettings, TimeStatus};
+pub use clock::{
+    KEPT_LINKS_MAX, KeptLink, KeptTime, ServoKind, TIER_FREE_RUNNING, TimeAsymmetry, TimeControl, TimeLink,
+    TimeSettings, TimeStatus,
+};
 
 use crate::drops::DropCause;
 use crate::framing::Check;

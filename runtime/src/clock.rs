@@ -12,7 +12,8 @@ use fixed_math::clock::{Diffusion, Estimate, Follow, Gains, Neighbour, Oldest, S
 use fixed_math::time::{LocalTicks, NetTime, Rate, Span};
 use osap_protocol::GatewayIndex;
 use osap_protocol::discovery::{
-    ClockMark, Refusal, ServoKind, TIER_FREE_RUNNING, TimeControl, TimeSettings, TimeStatus, UniqueId,
+    ClockMark, KEPT_LINKS_MAX, KeptLink, KeptTime, Refusal, ServoKind, TIER_FREE_RUNNING, TimeControl, TimeSettings,
+    TimeStatus, UniqueId,
 };
 use osap_protocol::time::{NO_BOUND, PRIORITY_DEVICE, PRIORITY_NEVER, Root, TIER_MAX, TimeReply, UnixOffset};
 
@@ -38,6 +39,11 @@ pub const STEP_MIN_US: u64 = 1_000;
 pub const ROOT_SETTLE_US: u64 = 250_000;
 /// Exchanges with a source after which a node is settled.
 pub const SETTLE_EXCHANGES: u32 = 16;
+/// How long a node is settled before its rates are kept for the first time, µs, and from then on from one time to the next.
+const KEEP_FIRST_US: u64 = 10_000_000;
+const KEEP_NEXT_US: u64 = 600_000_000;
+/// A rate that has moved by less since it was kept is as good as kept, ppb.
+const KEEP_MIN_PPB: u32 = 1_000;
 /// Most neighbours that are looked at together.
 const NEIGHBOURS_MAX: usize = 8;
 /// Offset by which a clock is older that is adopted, `[TIM-11]`.
@@ -114,8 +120,10 @@ pub struct Clock {
     steps: u16,
     root_changes: u16,
     dither: u32,
-    /// The settings were changed and nobody has kept them yet.
+    /// Settings or calibrations were changed and nobody has kept them yet.
     pub(crate) is_changed: bool,
+    /// When rates were last kept.
+    kept_at: Option<LocalTicks>,
 }
 
 impl Clock {
@@ -143,6 +151,7 @@ impl Clock {
             root_changes: 0,
             dither: seed,
             is_changed: false,
+            kept_at: None,
         }
     }
 
@@ -220,10 +229,11 @@ impl Clock {
         self.unix.map(|unix| unix.offset_us)
     }
 
-    /// The greatest possible error at `local`, `[TIM-09]`.
+    /// The greatest possible error at `local`, `[TIM-09]`; `None` before it is settled, as what is assumed of a neighbour's oscillator may
+    /// still turn out wrong.
     #[must_use]
     pub fn bound_at(&self, local: LocalTicks) -> Option<Span> {
-        if self.tier == TIER_FREE_RUNNING {
+        if self.tier == TIER_FREE_RUNNING || !self.is_settled {
             return None;
         }
         let off = self.map.system_at(local).steps_after(self.estimate.line.system_at(local)).unsigned_abs();
@@ -277,7 +287,8 @@ impl Clock {
         } else {
             (self.map.system_at(heard), self.map.rate_at(heard))
         };
-        let bound = if follows { Some(self.estimate.bound_at(heard)) } else { self.bound_at(heard) };
+        let bound =
+            if follows { self.bound_at(heard).map(|_| self.estimate.bound_at(heard)) } else { self.bound_at(heard) };
         let (age_us, news_at) = self.news;
         let age_us = if self.tier == 0 { 0 } else { u64::from(age_us) + heard.since(news_at).as_us_ceil() };
         TimeReply {
@@ -518,6 +529,29 @@ impl Clock {
             steps: self.steps,
             root_changes: self.root_changes,
         }
+    }
+
+    /// What is to outlast a reset, where it has changed since it was last taken, `[TIM-17]`: seldom, as flash wears.
+    pub(crate) fn take_to_keep(&mut self, gateways: &mut [Gateway], now: LocalTicks) -> Option<KeptTime> {
+        let due_us = if self.kept_at.is_some() { KEEP_NEXT_US } else { KEEP_FIRST_US };
+        let last = self.kept_at.unwrap_or(self.since);
+        let may_rates = self.is_settled && now.since(last) >= Span::from_us(due_us);
+        let moved = |gateway: &Gateway| gateway.peer.rate_moved(KEEP_MIN_PPB);
+        if !self.is_changed && !(may_rates && gateways.iter().any(moved)) {
+            return None;
+        }
+        self.is_changed = false;
+        if may_rates {
+            self.kept_at = Some(now);
+            for gateway in &mut *gateways {
+                gateway.peer.keep_rate();
+            }
+        }
+        let links = gateways.iter().take(KEPT_LINKS_MAX).map(|gateway| KeptLink {
+            peer: gateway.peer.kept.map(|(of, rate)| (of, rate.ppb())),
+            asymmetry_steps: gateway.peer.asymmetry_steps,
+        });
+        Some(KeptTime { settings: self.settings, links: links.collect() })
     }
 
     /// Both clocks at `now`, where time is settled, `[TIM-15]`.

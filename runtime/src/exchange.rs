@@ -7,8 +7,8 @@
 use crate::clock::Changes;
 use crate::egress::Outgoing;
 use crate::node::Node;
-use fixed_math::time::{LocalTicks, Span};
-use osap_protocol::discovery::{ClockChange, Event, GatewayKind, Verbosity};
+use fixed_math::time::{LocalTicks, Rate, Span};
+use osap_protocol::discovery::{ClockChange, Event, GatewayKind, KeptTime, Verbosity};
 use osap_protocol::header::{Arrival, SYSTEM_HEADER_BYTES, Terminal, emit};
 use osap_protocol::system::{ANNOUNCE_TTL_US, SystemKey};
 use osap_protocol::time::{TimeReply, TimeRequest, stamp};
@@ -124,6 +124,21 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         let tier = self.clock.tier();
         for (_, change) in changes.iter().filter(|(is_so, _)| *is_so) {
             self.debug.record(Verbosity::Events, now, || Event::Clock { change: *change, tier });
+        }
+    }
+
+    /// What of the clock is to outlast a reset, where it has changed since it was last taken, `[TIM-17]`: for the application to keep.
+    pub fn take_time_to_keep(&mut self, now: LocalTicks) -> Option<KeptTime> {
+        self.clock.take_to_keep(&mut self.gateways, now)
+    }
+
+    /// Begins with what a former run kept, before any gateway opens, `[TIM-17]`.
+    pub fn restore_time(&mut self, kept: &KeptTime) {
+        let _in_range = self.clock.set(kept.settings);
+        self.clock.is_changed = false;
+        for (gateway, link) in self.gateways.iter_mut().zip(&kept.links) {
+            gateway.peer.kept = link.peer.map(|(of, ppb)| (of, Rate::from_ppb(ppb)));
+            gateway.peer.calibrate(link.asymmetry_steps, gateway.config.stamps);
         }
     }
 

@@ -19,11 +19,6 @@ pub const BURST_INTERVAL_US: u64 = 5_000;
 pub const SLOW_FACTOR: u32 = 8;
 /// Absurd replies in a row after which what was known is forgotten, `[TIM-06]`.
 pub const OUTLIERS_MAX: u8 = 16;
-/// Relative rate of two crystals before it was measured, one standard deviation.
-const CRYSTAL_SIGMA: Rate = Rate::from_ppb(40_000);
-/// And of oscillators that are none, which is what they are taken for once crystals do not explain what comes.
-const OSCILLATOR_SIGMA: Rate = Rate::from_ppb(10_000_000);
-
 /// A request that waits for its answer.
 #[derive(Clone, Copy, Debug)]
 struct Open {
@@ -86,7 +81,7 @@ pub(crate) struct Peer {
 impl Peer {
     pub(crate) const fn new(stamps: Stamps) -> Self {
         Self {
-            link: LinkClock::new(traits(stamps, Span::ZERO, 0, CRYSTAL_SIGMA)),
+            link: LinkClock::new(traits(stamps, Span::ZERO, 0, LinkTraits::CRYSTAL)),
             asymmetry_steps: 0,
             of: None,
             kept: None,
@@ -107,11 +102,7 @@ impl Peer {
     /// A neighbour has appeared: it is asked often at first. One that only was away for a while is still known.
     pub(crate) fn appeared(&mut self, who: UniqueId, boot_epoch: u32, now: LocalTicks) {
         if self.of != Some((who, boot_epoch)) {
-            if let Some((was, _)) = self.of
-                && self.link.exchanges() > u32::from(BURST)
-            {
-                self.kept = Some((was, self.link.rate()));
-            }
+            self.keep_rate();
             self.of = Some((who, boot_epoch));
             self.forget();
         }
@@ -140,7 +131,7 @@ impl Peer {
     /// Sets how much longer the way there is than the way back, and begins anew with it, `[TIM-13]`.
     pub(crate) fn calibrate(&mut self, asymmetry_steps: i32, stamps: Stamps) {
         self.asymmetry_steps = asymmetry_steps;
-        self.link = LinkClock::new(traits(stamps, Span::ZERO, asymmetry_steps, CRYSTAL_SIGMA));
+        self.link = LinkClock::new(traits(stamps, Span::ZERO, asymmetry_steps, LinkTraits::CRYSTAL));
         self.forget();
     }
 
@@ -187,7 +178,7 @@ impl Peer {
         self.check_tier(reply, me)?;
         let peer_tick = Span::from_steps(u64::from(reply.tick_steps));
         if self.link.exchanges() == 0 {
-            self.link = LinkClock::new(traits(stamps, peer_tick, self.asymmetry_steps, CRYSTAL_SIGMA));
+            self.link = LinkClock::new(traits(stamps, peer_tick, self.asymmetry_steps, LinkTraits::CRYSTAL));
             self.forget();
         }
         let exchange = Exchange { sent, heard: reply.heard, answered: reply.answered(), received };
@@ -221,12 +212,26 @@ impl Peer {
         Ok(())
     }
 
+    /// Whether the rate is known well and has moved by `ppb` since it was kept.
+    pub(crate) fn rate_moved(&self, ppb: u32) -> bool {
+        let is_known = self.link.exchanges() > u32::from(BURST);
+        let kept = self.kept.filter(|(of, _)| self.of.is_some_and(|(id, _)| id == *of));
+        is_known && kept.is_none_or(|(_, rate)| rate.ppb().abs_diff(self.link.rate().ppb()) >= ppb)
+    }
+
+    /// Keeps the rate for when this neighbour, or this node, begins anew.
+    pub(crate) fn keep_rate(&mut self) {
+        if let Some((of, _)) = self.of.filter(|_| self.link.exchanges() > u32::from(BURST)) {
+            self.kept = Some((of, self.link.rate()));
+        }
+    }
+
     /// One more absurd reply; after too many in a row what was known is forgotten.
     pub(crate) fn outlier(&mut self, stamps: Stamps, peer_tick: Span) {
         self.outliers += 1;
         if self.outliers >= OUTLIERS_MAX {
             self.kept = None;
-            self.link = LinkClock::new(traits(stamps, peer_tick, self.asymmetry_steps, OSCILLATOR_SIGMA));
+            self.link = LinkClock::new(traits(stamps, peer_tick, self.asymmetry_steps, LinkTraits::RC));
             self.forget();
         }
     }
@@ -281,7 +286,7 @@ impl Peer {
     }
 }
 
-const fn traits(stamps: Stamps, peer_tick: Span, asymmetry_steps: i32, rate_sigma: Rate) -> LinkTraits {
+const fn traits(stamps: Stamps, peer_tick: Span, asymmetry_steps: i32, base: LinkTraits) -> LinkTraits {
     let tick = if peer_tick.steps() > stamps.tick.steps() { peer_tick } else { stamps.tick };
-    LinkTraits { wire: stamps.wire, tick, late: stamps.late, asymmetry_steps, rate_sigma }
+    LinkTraits { wire: stamps.wire, tick, late: stamps.late, asymmetry_steps, ..base }
 }

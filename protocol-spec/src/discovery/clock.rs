@@ -200,3 +200,72 @@ pub struct TimeAsymmetry {
     /// By how much the way there is longer than the way back, 1/256 µs.
     pub asymmetry_steps: i32,
 }
+
+/// Links of which a device keeps what it knows.
+pub const KEPT_LINKS_MAX: usize = 4;
+
+/// What a clock keeps over a reset, `[TIM-17]`: no message, but as durable as one.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct KeptTime {
+    /// Its settings.
+    pub settings: TimeSettings,
+    /// Its first links.
+    pub links: heapless::Vec<KeptLink, KEPT_LINKS_MAX>,
+}
+
+/// What is kept of one link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct KeptLink {
+    /// Which device was at its other end, and its counter's rate against ours, parts per 10⁹.
+    pub peer: Option<(UniqueId, i32)>,
+    /// As [`TimeAsymmetry::asymmetry_steps`].
+    pub asymmetry_steps: i32,
+}
+
+impl KeptTime {
+    /// Most bytes it takes: settings of 32, a length, and links of 1 + 12 + 5 + 5.
+    pub const LEN_MAX: usize = 32 + 1 + KEPT_LINKS_MAX * 23;
+
+    /// Writes it into `out`; its length, or `None` where it does not fit.
+    pub fn encode(&self, out: &mut [u8]) -> Option<usize> {
+        postcard::to_slice(self, out).ok().map(|bytes| bytes.len())
+    }
+
+    /// Reads one; `None` where it is none, or its settings are out of range.
+    #[must_use]
+    pub fn decode(bytes: &[u8]) -> Option<Self> {
+        match postcard::take_from_bytes::<Self>(bytes) {
+            Ok((it, [])) if it.settings.in_range() => Some(it),
+            _ => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// `[TIM-17]`: the stated length is the most there is; what was cut or is out of range is nothing.
+    #[test]
+    fn what_is_kept_comes_back() {
+        let settings = TimeSettings {
+            interval_us: 10_000_000,
+            filter_q16: 65_536,
+            proportional_q16: 1 << 24,
+            integral_q16: 1 << 24,
+            skew_limit_ppb: 20_000_000,
+            gate_steps: i32::MAX,
+            servo: ServoKind::Oldest,
+            priority: 255,
+        };
+        let link = KeptLink { peer: Some((UniqueId([255; 12]), i32::MIN)), asymmetry_steps: i32::MIN };
+        let kept = KeptTime { settings, links: core::iter::repeat_n(link, KEPT_LINKS_MAX).collect() };
+        let mut out = [0; KeptTime::LEN_MAX];
+        let len = kept.encode(&mut out).unwrap();
+        assert_eq!(KeptTime::decode(&out[..len]), Some(kept.clone()));
+        assert_eq!(KeptTime::decode(&out[..len - 1]), None);
+        let bad = KeptTime { settings: TimeSettings { interval_us: 1, ..settings }, ..kept };
+        let len = bad.encode(&mut out).unwrap();
+        assert_eq!(KeptTime::decode(&out[..len]), None);
+    }
+}

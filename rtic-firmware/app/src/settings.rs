@@ -1,10 +1,9 @@
-//! What a device keeps over power-off: its name, how often it has started, what kind it was made.
+//! What a device keeps over power-off: its name, how often it has started, what kind it was made, what its clock knows.
 //!
-//! - **Walk:** start-up → [`Settings::load`]; a renaming → routing's [`Node::take_new_name`](osap_runtime::Node::take_new_name) → idle →
-//!   [`Settings::set_name`] → flash.
+//! - **Walk:** start-up → [`Settings::load`]; a renaming, or a clock that has settled → idle → [`Changes::take`] → [`Settings::keep`] → flash.
 //! - **Invariants:** wear is spread over all pages of the range, and a power cut while writing loses the value being written at most: both
 //!   are `sequential-storage`'s. Whatever stands in the flash, loading ends in settings that can be used.
-//! - **Context:** start-up, and idle, as the lowest of all: a flash write takes milliseconds. **Clause:** `[DSC-05]`.
+//! - **Context:** start-up, and idle, as the lowest of all: a flash write takes milliseconds. **Clauses:** `[DSC-05]`, `[TIM-17]`.
 //!
 //! ```
 //! use firmware_app::settings::{Settings, memory::MemoryFlash};
@@ -20,7 +19,9 @@
 use core::ops::Range;
 use embedded_storage::nor_flash::NorFlash;
 use embedded_storage_async::nor_flash as nor_async;
-use osap_protocol::discovery::Name;
+use fixed_math::time::LocalTicks;
+use osap_protocol::discovery::{KeptTime, Name};
+use osap_runtime::Node;
 use sequential_storage::cache::{Cache, Uncached};
 use sequential_storage::map::{MapConfig, MapStorage};
 
@@ -30,9 +31,11 @@ pub mod memory;
 const KEY_NAME: u8 = 1;
 const KEY_BOOTS: u8 = 2;
 const KEY_KIND: u8 = 3;
+const KEY_TIME: u8 = 4;
 
 /// Room for the longest item, its key and its header, in whole words of the flashes there are (32 bytes on an STM32H7).
-const ITEM_BYTES: usize = 128;
+const ITEM_BYTES: usize = 192;
+const _: () = assert!(KeptTime::LEN_MAX + 2 * 32 <= ITEM_BYTES, "key, header and rounding beside the longest value");
 
 /// Why settings could not be read or written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,6 +63,27 @@ pub struct Settings<F: NorFlash> {
     name: Name,
     boots: u32,
     kind: Option<u8>,
+    time: Option<KeptTime>,
+}
+
+/// What a node has that is not kept yet.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Changes {
+    /// Its new name, `[DSC-05]`.
+    pub name: Option<Name>,
+    /// Of its clock, `[TIM-17]`.
+    pub time: Option<KeptTime>,
+}
+
+impl Changes {
+    /// Takes them from `node`: short, so that it may be locked for it.
+    pub fn take<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS: usize>(
+        node: &mut Node<SLOTS, BYTES, GATEWAYS, PORTS>,
+        now: LocalTicks,
+    ) -> Self {
+        let name = node.take_new_name().and_then(|name| name.try_into().ok());
+        Self { name, time: node.take_time_to_keep(now) }
+    }
 }
 
 /// Pages are looked through each time: settings are read at start-up only.
@@ -78,6 +102,7 @@ impl<F: NorFlash> Settings<F> {
             name: Name::new(),
             boots: 0,
             kind: None,
+            time: None,
         };
         if settings.read().is_err() {
             embassy_futures::block_on(settings.map.erase_all()).map_err(|_| SettingsError::Flash)?;
@@ -122,6 +147,35 @@ impl<F: NorFlash> Settings<F> {
             .map_err(|_| SettingsError::Flash)
     }
 
+    /// What the clock kept.
+    #[must_use]
+    pub const fn time(&self) -> Option<&KeptTime> {
+        self.time.as_ref()
+    }
+
+    /// Keeps what has changed.
+    ///
+    /// # Errors
+    /// [`SettingsError::Flash`]; what could be kept is.
+    pub fn keep(&mut self, changes: &Changes) -> Result<(), SettingsError> {
+        let name = changes.name.as_ref().map_or(Ok(()), |name| self.set_name(name));
+        let time = changes.time.as_ref().map_or(Ok(()), |time| self.set_time(time));
+        name.and(time)
+    }
+
+    /// Keeps what the clock wants kept, `[TIM-17]`.
+    ///
+    /// # Errors
+    /// [`SettingsError::Flash`].
+    pub fn set_time(&mut self, time: &KeptTime) -> Result<(), SettingsError> {
+        let mut bytes = [0; KeptTime::LEN_MAX];
+        let len = time.encode(&mut bytes).ok_or(SettingsError::Flash)?;
+        self.time = Some(time.clone());
+        let mut buffer = [0; ITEM_BYTES];
+        embassy_futures::block_on(self.map.store_item(&mut buffer, &KEY_TIME, &&bytes[..len]))
+            .map_err(|_| SettingsError::Flash)
+    }
+
     /// Keeps what kind of device this is.
     ///
     /// # Errors
@@ -143,6 +197,8 @@ impl<F: NorFlash> Settings<F> {
         self.boots = boots.map_err(|_| SettingsError::Flash)?.unwrap_or(0);
         let kind = embassy_futures::block_on(map.fetch_item::<u8>(&mut buffer, &KEY_KIND));
         self.kind = kind.map_err(|_| SettingsError::Flash)?;
+        let time = embassy_futures::block_on(map.fetch_item::<&[u8]>(&mut buffer, &KEY_TIME));
+        self.time = time.map_err(|_| SettingsError::Flash)?.and_then(KeptTime::decode);
         let name = embassy_futures::block_on(map.fetch_item::<&[u8]>(&mut buffer, &KEY_NAME));
         let name = name.map_err(|_| SettingsError::Flash)?.unwrap_or_default();
         self.name = core::str::from_utf8(name).ok().and_then(|name| Name::try_from(name).ok()).unwrap_or_default();
@@ -207,6 +263,29 @@ mod tests {
         }
         let settings = load(&mut flash);
         assert_eq!((settings.name(), settings.kind(), settings.boots()), ("motor number 1999", Some(3), 2002));
+    }
+
+    /// `[TIM-17]`: what a node's clock was set to comes back after a reset, and is taken once.
+    #[test]
+    fn a_clocks_settings_outlast_a_reset() {
+        use crate::{Device, kind};
+        use osap_protocol::discovery::{BuildKind, TimeSettings, UniqueId};
+        let device = || {
+            let device = Device::<8, 64, 1, 4, 64>::new(&kind::MOTOR, UniqueId([1; 12]), 1, BuildKind::Firmware, "a");
+            device.unwrap().into_parts().0
+        };
+        let (mut flash, mut node) = (Flash::new(), device());
+        assert_eq!(Changes::take(&mut node, LocalTicks::ZERO), Changes::default());
+        let tuned = TimeSettings { interval_us: 20_000, priority: 7, ..node.clock().settings() };
+        node.clock_mut().set(tuned).unwrap();
+        let changes = Changes::take(&mut node, LocalTicks::ZERO);
+        assert_eq!(Changes::take(&mut node, LocalTicks::ZERO), Changes::default());
+        load(&mut flash).keep(&changes).unwrap();
+
+        let (settings, mut again) = (load(&mut flash), device());
+        again.restore_time(settings.time().unwrap());
+        assert_eq!(again.clock().settings(), tuned);
+        assert_eq!(Changes::take(&mut again, LocalTicks::ZERO), Changes::default(), "nothing new to keep");
     }
 
     #[test]

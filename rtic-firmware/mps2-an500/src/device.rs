@@ -9,10 +9,11 @@ use board_mps2_an500::clock::Wake;
 use board_mps2_an500::pac::{Interrupt, Peripherals};
 use board_mps2_an500::uart::{BIT_RATE, CHECK, MTU_BYTES, UART_COUNT, Uart, UartBuffers};
 use board_mps2_an500::{Board, REGION, UartRx, UartTx};
+use firmware_app::settings::Changes;
 use firmware_app::kind::KINDS;
 use firmware_app::lock::NodeLock;
 use firmware_app::{Device, Link};
-use osap_protocol::discovery::{BuildKind, GatewayKind, Name};
+use osap_protocol::discovery::{BuildKind, GatewayKind};
 use osap_runtime::{GatewayConfig, Stamps};
 
 /// What `route` is bound to: a port's interrupt that nothing else uses.
@@ -73,6 +74,7 @@ pub(crate) fn start(peripherals: Peripherals, buffers: &'static mut [UartBuffers
     let (mut node, services) = device.expect("PORTS are as many as every kind has").into_parts();
     past_reports(board.kept.report, &mut node);
     let links = board.wires.map(|wire| Link::new(wire, GATEWAY, &mut node).expect("a gateway for each UART"));
+    settings.restore(&mut node);
     let (probe, turns) = start_probe(board.latency);
     Started {
         node,
@@ -88,9 +90,9 @@ pub(crate) fn start(peripherals: Peripherals, buffers: &'static mut [UartBuffers
     }
 }
 
-/// The name given last, once.
-pub(crate) fn new_name(node: &mut Node) -> Option<Name> {
-    Name::try_from(node.take_new_name()?).ok()
+/// What is to be kept, once.
+pub(crate) fn changes(node: &mut Node) -> Changes {
+    Changes::take(node, board_mps2_an500::now())
 }
 
 /// The node as RTIC shares it.

@@ -2,7 +2,7 @@
 //!
 //! - **Invariant:** all `cfg` of the tasks' work is here, so that the tasks read the same in every build.
 //! - **Context:** start-up, but for [`KeptSettings::keep`] in idle, [`RunningWatchdog::feed`] in routing and [`Turns::count`] in serving.
-//! - **Clauses:** `[DSC-05]`, `[DSC-06]`.
+//! - **Clauses:** `[DSC-05]`, `[DSC-06]`, `[TIM-17]`.
 
 #![allow(clippy::unused_self, reason = "what stands in for a feature has the same shape")]
 
@@ -13,8 +13,9 @@ pub(crate) use watchdog::RunningWatchdog;
 
 #[cfg(feature = "settings")]
 mod settings {
+    use crate::device::Node;
     use board_mps2_an500::kept::SettingsFlash;
-    use firmware_app::settings::Settings;
+    use firmware_app::settings::{Changes, Settings};
 
     /// Settings in memory that outlives a reset.
     pub(crate) struct KeptSettings(Option<Settings<&'static mut SettingsFlash>>);
@@ -37,16 +38,25 @@ mod settings {
             self.0.as_ref().and_then(Settings::kind)
         }
 
-        /// Keeps a new name; the node has it in any case.
-        pub(crate) fn keep(&mut self, name: &str) {
-            let _until_power_off = self.0.as_mut().map(|settings| settings.set_name(name));
+        /// Gives a node's clock what a former run kept of it.
+        pub(crate) fn restore(&self, node: &mut Node) {
+            if let Some(time) = self.0.as_ref().and_then(Settings::time) {
+                node.restore_time(time);
+            }
+        }
+
+        /// Keeps what has changed; the node has it in any case.
+        pub(crate) fn keep(&mut self, changes: &Changes) {
+            let _until_power_off = self.0.as_mut().map(|settings| settings.keep(changes));
         }
     }
 }
 
 #[cfg(not(feature = "settings"))]
 mod settings {
+    use crate::device::Node;
     use board_mps2_an500::kept::SettingsFlash;
+    use firmware_app::settings::Changes;
 
     /// No settings: no name, and every start is the first.
     pub(crate) struct KeptSettings;
@@ -68,7 +78,9 @@ mod settings {
             None
         }
 
-        pub(crate) const fn keep(&mut self, _: &str) {}
+        pub(crate) const fn restore(&self, _: &mut Node) {}
+
+        pub(crate) const fn keep(&mut self, _: &Changes) {}
     }
 }
 

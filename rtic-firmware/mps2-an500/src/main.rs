@@ -103,12 +103,12 @@ mod app {
         (Shared { node: device.node, services_wake: None }, local)
     }
 
-    /// Keeps names given over the network, then sleeps: `route` wakes at least every 100 ms.
+    /// Keeps what the network changed and clocks learned, then sleeps: `route` wakes at least every 100 ms.
     #[idle(shared = [node], local = [settings])]
     fn idle(mut cx: idle::Context) -> ! {
         loop {
-            let name = cx.shared.node.lock(crate::device::new_name);
-            name.inspect(|name| cx.local.settings.keep(name));
+            let changes = cx.shared.node.lock(crate::device::changes);
+            cx.local.settings.keep(&changes);
             cortex_m::asm::wfi();
         }
     }

@@ -11,6 +11,7 @@ use board_stm32h743_nucleo::pac::{Interrupt, Peripherals};
 use board_stm32h743_nucleo::uart::{
     BIT_RATE, BITS_A_BYTE, CHECK, MTU_BYTES, UART_COUNT, Uart, UartBuffers, UartInterrupt,
 };
+use firmware_app::settings::Changes;
 use firmware_app::lock::NodeLock;
 use firmware_app::routing::route;
 use firmware_app::{Device, Link, Services, kind};
@@ -94,23 +95,36 @@ pub(crate) struct Keeper {
 }
 
 impl Keeper {
-    /// Writes a new name, if there is one.
+    /// Gives a node's clock what a former run kept of it.
     #[cfg(feature = "settings")]
-    pub(crate) fn keep(&mut self, name: Option<Name>) {
-        if let (Some(settings), Some(name)) = (&mut self.settings, name) {
-            let _until_power_off = settings.set_name(&name);
+    fn restore(&self, node: &mut NucleoNode) {
+        if let Some(time) = self.settings.as_ref().and_then(firmware_app::settings::Settings::time) {
+            node.restore_time(time);
+        }
+    }
+
+    /// There is nothing to restore.
+    #[cfg(not(feature = "settings"))]
+    #[expect(clippy::unused_self, reason = "the same name where there are settings")]
+    fn restore(&self, _: &mut NucleoNode) {}
+
+    /// Writes what has changed.
+    #[cfg(feature = "settings")]
+    pub(crate) fn keep(&mut self, changes: &Changes) {
+        if let Some(settings) = &mut self.settings {
+            let _until_power_off = settings.keep(changes);
         }
     }
 
     /// Keeps nothing.
     #[cfg(not(feature = "settings"))]
     #[expect(clippy::unused_self, reason = "the same name where there are settings")]
-    pub(crate) fn keep(&mut self, _: Option<Name>) {}
+    pub(crate) fn keep(&mut self, _: &Changes) {}
 }
 
-/// The name given last, once.
-pub(crate) fn new_name(node: &mut NucleoNode) -> Option<Name> {
-    Name::try_from(node.take_new_name()?).ok()
+/// What is to be kept, once.
+pub(crate) fn changes(node: &mut NucleoNode) -> Changes {
+    Changes::take(node, clock::now())
 }
 
 /// The node behind RTIC's lock.
@@ -170,6 +184,7 @@ pub(crate) fn start(
     };
     #[cfg(not(feature = "usb"))]
     let usb = ();
+    keeper.restore(&mut node);
     #[cfg(feature = "watchdog")]
     let watchdog = {
         let mut watchdog = board.watchdog;

@@ -66,12 +66,12 @@ mod app {
         (Shared { node, links, services_wake: None }, local)
     }
 
-    /// Keeps names given over the network, then sleeps: `route` wakes at least every 100 ms.
+    /// Keeps what the network changed and clocks learned, then sleeps: `route` wakes at least every 100 ms.
     #[idle(local = [keeper], shared = [node])]
     fn idle(mut cx: idle::Context) -> ! {
         loop {
-            let name = cx.shared.node.lock(crate::device::new_name);
-            cx.local.keeper.keep(name);
+            let changes = cx.shared.node.lock(crate::device::changes);
+            cx.local.keeper.keep(&changes);
             cortex_m::asm::wfi();
         }
     }
