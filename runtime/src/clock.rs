@@ -6,16 +6,14 @@
 //! - **Context:** the node's; a few products and divisions of 64 bits an accepted reply, at most 200 a second and link.
 //! - **Clauses:** `[TIM-07]` to `[TIM-11]`, `[TIM-14]`, `[DSC-02]`, `[DSC-07]`.
 
+mod told;
+
 use crate::gateway::Gateway;
-use crate::peer::Owed;
 use fixed_math::clock::{Diffusion, Estimate, Follow, Gains, Neighbour, Oldest, Servo, SlewedMap, TimeLine};
 use fixed_math::time::{LocalTicks, NetTime, Rate, Span};
 use osap_protocol::GatewayIndex;
-use osap_protocol::discovery::{
-    ClockMark, KEPT_LINKS_MAX, KeptLink, KeptTime, Refusal, ServoKind, TIER_FREE_RUNNING, TimeControl, TimeSettings,
-    TimeStatus, UniqueId,
-};
-use osap_protocol::time::{NO_BOUND, PRIORITY_DEVICE, PRIORITY_NEVER, Root, TIER_MAX, TimeReply, UnixOffset};
+use osap_protocol::discovery::{Refusal, ServoKind, TIER_FREE_RUNNING, TimeSettings, UniqueId};
+use osap_protocol::time::{NO_BOUND, PRIORITY_DEVICE, PRIORITY_NEVER, Root, TIER_MAX, UnixOffset};
 
 /// Settings of a new node: the thesis's 50 ms between exchanges, a quarter of each new offset into the average.
 pub const DEFAULT_SETTINGS: TimeSettings = TimeSettings {
@@ -39,11 +37,6 @@ pub const STEP_MIN_US: u64 = 1_000;
 pub const ROOT_SETTLE_US: u64 = 250_000;
 /// Exchanges with a source after which a node is settled.
 pub const SETTLE_EXCHANGES: u32 = 16;
-/// How long a node is settled before its rates are kept for the first time, µs, and from then on from one time to the next.
-const KEEP_FIRST_US: u64 = 10_000_000;
-const KEEP_NEXT_US: u64 = 600_000_000;
-/// A rate that has moved by less since it was kept is as good as kept, ppb.
-const KEEP_MIN_PPB: u32 = 1_000;
 /// Most neighbours that are looked at together.
 const NEIGHBOURS_MAX: usize = 8;
 /// Offset by which a clock is older that is adopted, `[TIM-11]`.
@@ -278,49 +271,15 @@ impl Clock {
         }
     }
 
-    /// The answer to a request, as of its arrival, `[TIM-02]`.
-    pub(crate) fn reply(&self, owed: Owed, index: GatewayIndex, tick: Span) -> TimeReply {
-        let Owed { sequence, asked_slot, heard } = owed;
-        let follows = self.settings.servo == ServoKind::Estimator;
-        let (system, rate) = if follows {
-            (self.estimate.line.system_at(heard), self.estimate.line.rate)
-        } else {
-            (self.map.system_at(heard), self.map.rate_at(heard))
-        };
-        let bound =
-            if follows { self.bound_at(heard).map(|_| self.estimate.bound_at(heard)) } else { self.bound_at(heard) };
-        let (age_us, news_at) = self.news;
-        let age_us = if self.tier == 0 { 0 } else { u64::from(age_us) + heard.since(news_at).as_us_ceil() };
-        TimeReply {
-            sequence,
-            asked_slot,
-            heard: fixed_math::time::PeerTicks::from_steps(heard.steps()),
-            system,
-            rate,
-            error_steps: cut(self.estimate.error.steps()),
-            bound_steps: bound.map_or(NO_BOUND, |bound| cut(bound.steps())),
-            drift_bits: self.estimate.drift.bits().unsigned_abs(),
-            age_us: cut(age_us),
-            tick_steps: u16::try_from(tick.steps()).unwrap_or(u16::MAX),
-            tier: self.tier,
-            root: self.root,
-            is_yours: self.sources & 1 << index.get() != 0,
-            is_settled: self.is_settled,
-            unix: self.unix.filter(|_| self.unix_from != Some(index)),
-            answered_slot: 0,
-        }
-    }
-
     /// Chooses root and sources and steers the map by them: after each accepted reply, and when [`Clock::next_wake`] has come.
     pub(crate) fn follow(&mut self, gateways: &[Gateway], now: LocalTicks) -> Changes {
         let was = (self.root.unique_id, self.tier);
         let mut changes = Changes::default();
-        match self.choose(gateways, now) {
-            Some((root, tier)) => self.follow_root(gateways, root, tier, now, &mut changes),
-            None => {
-                changes.lost = self.tier != 0 && self.tier != TIER_FREE_RUNNING;
-                self.be_root(gateways, now);
-            }
+        if let Some((root, tier)) = self.choose(gateways, now) {
+            self.follow_root(gateways, root, tier, now, &mut changes);
+        } else {
+            changes.lost = self.tier != 0 && self.tier != TIER_FREE_RUNNING;
+            self.be_root(gateways, now);
         }
         if self.root.unique_id != was.0 || (self.tier == TIER_FREE_RUNNING) != (was.1 == TIER_FREE_RUNNING) {
             self.root_changes = self.root_changes.saturating_add(1);
@@ -484,88 +443,6 @@ impl Clock {
         self.unix_from = None;
     }
 
-    /// All that query 9 tells, at `now`.
-    #[must_use]
-    pub(crate) fn control(&self, gateways: &[Gateway], now: LocalTicks) -> TimeControl {
-        let TimeSettings {
-            interval_us, filter_q16, proportional_q16, integral_q16, skew_limit_ppb, gate_steps, ..
-        } = self.settings;
-        let source = gateways.get(self.sources.trailing_zeros() as usize).map(|gateway| &gateway.peer);
-        TimeControl {
-            system_time_steps: self.map.system_at(now).steps(),
-            local_ticks_steps: now.steps(),
-            interval_us,
-            offset_steps: source.map_or(0, |peer| clamp(peer.offset_steps)),
-            skew_ppb: self.map.rate_at(now).ppb(),
-            bound_steps: self.bound_at(now).map_or(-1, |bound| clamp(bound.steps().cast_signed())),
-            round_trip_steps: source.map_or(0, |peer| clamp(peer.link.round_trip().steps().cast_signed())),
-            round_trip_min_steps: source.map_or(0, |peer| clamp(peer.link.round_trip_min().steps().cast_signed())),
-            filter_q16,
-            proportional_q16,
-            integral_q16,
-            skew_limit_ppb,
-            gate_steps,
-            tier: self.tier,
-        }
-    }
-
-    /// All that query 12 tells, at `now`, `[TIM-12]`.
-    #[must_use]
-    pub(crate) fn status(&self, now: LocalTicks) -> TimeStatus {
-        let (age_us, at) = self.news;
-        TimeStatus {
-            settings: self.settings,
-            tier: self.tier,
-            root_priority: self.root.priority,
-            root: self.root.unique_id,
-            is_settled: self.is_settled,
-            is_live: self.is_live,
-            sources: self.sources,
-            error_steps: cut(self.estimate.error.steps()),
-            drift_ppb: self.estimate.drift.ppb().unsigned_abs(),
-            behind_steps: self.estimate.line.system_at(now).steps_after(self.map.system_at(now)),
-            age_us: if self.tier == 0 { 0 } else { cut(u64::from(age_us) + now.since(at).as_us_ceil()) },
-            unix_offset_us: self.unix_offset_us(),
-            steps: self.steps,
-            root_changes: self.root_changes,
-        }
-    }
-
-    /// What is to outlast a reset, where it has changed since it was last taken, `[TIM-17]`: seldom, as flash wears.
-    pub(crate) fn take_to_keep(&mut self, gateways: &mut [Gateway], now: LocalTicks) -> Option<KeptTime> {
-        let due_us = if self.kept_at.is_some() { KEEP_NEXT_US } else { KEEP_FIRST_US };
-        let last = self.kept_at.unwrap_or(self.since);
-        let may_rates = self.is_settled && now.since(last) >= Span::from_us(due_us);
-        let moved = |gateway: &Gateway| gateway.peer.rate_moved(KEEP_MIN_PPB);
-        if !self.is_changed && !(may_rates && gateways.iter().any(moved)) {
-            return None;
-        }
-        self.is_changed = false;
-        if may_rates {
-            self.kept_at = Some(now);
-            for gateway in &mut *gateways {
-                gateway.peer.keep_rate();
-            }
-        }
-        let links = gateways.iter().take(KEPT_LINKS_MAX).map(|gateway| KeptLink {
-            peer: gateway.peer.kept.map(|(of, rate)| (of, rate.ppb())),
-            asymmetry_steps: gateway.peer.asymmetry_steps,
-        });
-        Some(KeptTime { settings: self.settings, links: links.collect() })
-    }
-
-    /// Both clocks at `now`, where time is settled, `[TIM-15]`.
-    #[must_use]
-    pub(crate) fn mark(&self, now: LocalTicks) -> Option<ClockMark> {
-        let bound = self.bound_at(now).filter(|_| self.is_settled)?;
-        Some(ClockMark {
-            local_steps: now.steps(),
-            system_steps: self.map.system_at(now).steps(),
-            rate_ppb: self.map.rate_at(now).ppb(),
-            bound_steps: cut(bound.steps()),
-        })
-    }
-
     /// Whether an offset to system time is too far off to be believed, `[TIM-06]`.
     pub(crate) fn is_absurd(&self, offset_steps: i64, root: UniqueId) -> bool {
         let gate = u64::from(self.settings.gate_steps.unsigned_abs());
@@ -604,6 +481,41 @@ fn cut(value: u64) -> u32 {
     u32::try_from(value).unwrap_or(u32::MAX)
 }
 
-fn clamp(value: i64) -> i32 {
-    i32::try_from(value).unwrap_or(if value < 0 { i32::MIN } else { i32::MAX })
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// `[DSC-02]`: out of range is refused and changes nothing.
+    #[test]
+    fn settings_out_of_range_change_nothing() {
+        let mut clock = Clock::new(UniqueId([1; 12]));
+        for bad in [
+            TimeSettings { interval_us: 999, ..DEFAULT_SETTINGS },
+            TimeSettings { filter_q16: 0, ..DEFAULT_SETTINGS },
+            TimeSettings { skew_limit_ppb: -1, ..DEFAULT_SETTINGS },
+            TimeSettings { gate_steps: -1, ..DEFAULT_SETTINGS },
+        ] {
+            assert_eq!(clock.set(bad), Err(Refusal::Range));
+            assert_eq!(clock.settings(), DEFAULT_SETTINGS);
+        }
+        clock.set(TimeSettings { interval_us: 10_000, ..DEFAULT_SETTINGS }).unwrap();
+        assert_eq!(clock.control(&[], LocalTicks::ZERO).interval_us, 10_000);
+    }
+
+    /// `[TIM-07]`: priority, then age beyond the margin, then the id; no claim goes before itself.
+    #[test]
+    fn claims_are_ordered() {
+        let claim = |priority, us, id| Claim {
+            root: Root { priority, unique_id: UniqueId([id; 12]) },
+            system: NetTime::from_us(us),
+            tier: 0,
+        };
+        let order = [claim(1, 0, 9), claim(2, 9_000, 8), claim(2, 5_000, 3), claim(2, 4_000, 4), claim(2, 2_000, 1)];
+        for (at, first) in order.iter().enumerate() {
+            assert!(!first.goes_before(first));
+            for second in &order[at + 1..] {
+                assert!(first.goes_before(second) && !second.goes_before(first), "{first:?} {second:?}");
+            }
+        }
+    }
 }
