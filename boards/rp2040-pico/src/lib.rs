@@ -1,8 +1,8 @@
 //! Raspberry Pi Pico: RP2040 at 125 MHz, UART0 and UART1 at 3 Mbaud by DMA, USB-CDC, settings in flash, watchdog.
 //!
 //! - **Walk:** UART → DMA → [`uart`] → the image's routing task → [`uart`] → DMA → UART; the same with [`usb`].
-//! - **Invariants:** all code and constants are in RAM, the vector table too, so that writing the flash delays nobody. DMA channels 0 to 5
-//!   are the UARTs'.
+//! - **Invariants:** all code and constants are in RAM, the vector table too, so that writing the flash delays nobody. DMA channels 0 to 7
+//!   are the UARTs'; of the PWM, slice 0 is [`pace`]'s and slice 7 [`clock`]'s.
 //! - **Context:** [`Board::init`] in `init`, the rest where its module says.
 //!
 //! | pin | is | pin | is |
@@ -17,6 +17,7 @@
 
 pub mod clock;
 pub mod flash;
+pub mod pace;
 pub mod uart;
 pub mod usb;
 
@@ -73,6 +74,8 @@ pub struct Board {
     pub watchdog: Watchdog,
     /// To wake routing.
     pub alarm: clock::Alarm,
+    /// A steady beat, which stands still until it is started.
+    pub pace: pace::Pace,
     /// Silicon's number: the flash chip's 64 bits behind four letters.
     pub unique_id: [u8; 12],
     /// Number set by the kind's pins.
@@ -135,7 +138,8 @@ impl Board {
         let usb = with_usb
             .then(|| usb::UsbWire::new(p.USBCTRL_REGS, p.USBCTRL_DPRAM, clocks.usb_clock, &mut p.RESETS, &unique_id));
         let report = take_report().or_else(|| by_watchdog.then(Report::watchdog));
-        Self { uarts: wires, usb, watchdog: Watchdog(watchdog), alarm: timer, unique_id, straps, report }
+        let (watchdog, pace) = (Watchdog(watchdog), pace::Pace::new());
+        Self { uarts: wires, usb, watchdog, alarm: timer, pace, unique_id, straps, report }
     }
 }
 

@@ -1,8 +1,8 @@
 //! UARTs by DMA: each byte that comes is put into a ring and stamped by hardware, each frame that goes is sent without the processor.
 //!
-//! Two channels a receiver hand over to each other: one moves a byte from the UART to the byte ring, then the other copies the timer's low
-//! word to the stamp ring, then the first waits for the next byte. So a stamp is late by a few clock cycles, however long interrupts are
-//! masked or the processor is busy.
+//! Three channels a receiver hand over to each other: one moves a byte from the UART to the byte ring, the next copies the sixteenths of a
+//! microsecond to a ring of their own and the last the timer's low word to the stamp ring, then the first waits for the next byte. So a stamp
+//! is late by a few clock cycles, however long interrupts are masked or the processor is busy.
 //!
 //! - **Walk:** UART → rings → [`receive`] (interrupt) wakes routing → [`Wire::drain`]; [`Wire::send`] → DMA → UART.
 //! - **Invariants:** the rings hold [`RING_BYTES`] bytes, 1.7 ms at 3 Mbaud. A ring that was lapped is noticed by its stamps. Between waking
@@ -10,7 +10,8 @@
 //! - **Context:** [`receive`] in `DMA_IRQ_0`, O(bytes since); the rest in the routing task; `DMA_IRQ_1` says that a frame has gone to the
 //!   UART, whose FIFO still holds up to 32 bytes of it. **Clauses:** `[FRM-08]`, `[NOD-08]`.
 
-use crate::{UART_BAUD, clock};
+use crate::clock::Stamp;
+use crate::{CORE_HZ, UART_BAUD, clock};
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use firmware_app::Wire;
@@ -30,8 +31,25 @@ const WAKE_BYTES: usize = 8;
 /// 1/256 µs a byte of ten bits takes, times 2^8.
 const BYTE_STEPS_Q8: u32 = ((10 * 256 * 256 * 1_000_000_u64) / UART_BAUD as u64) as u32;
 
+/// What a stamp counts in: 1/16 µs, rounded down.
+pub const STAMP_UNIT: Span = Span::from_steps(16);
+/// From the stamp of a departure to that of its arrival, where a wire without length joins two idle transmitters and receivers: 3.325 µs. It is
+/// 7 cycles from the stamp to the write that starts the first bit, 9 1/2 bits until the receiver has sampled the middle of the stop bit, and
+/// two transfers of the DMA of 6 cycles each, the byte's and the stamp's. Measured in the co-simulation; a chip's UART adds the steps of its
+/// bit clock, a sixteenth of a bit each, and a few cycles of synchronisers.
+pub const DEPARTURE_TO_ARRIVAL: Span = {
+    let cycles_q6 = (7 + 2 * 6) * 64 + BIT_CYCLES_Q6 * 19 / 2;
+    Span::from_steps((cycles_q6 * (256 / 64) / (CORE_HZ / 1_000_000)) as u64)
+};
+/// An arrival's stamp is late by this at most, where all channels of the DMA are at work: 25 cycles. Seen were 24.
+pub const ARRIVAL_LATE_MAX: Span = Span::from_steps((25 * 256 / (CORE_HZ / 1_000_000)) as u64 + 1);
+/// Cycles of a bit, in 64ths: sixteen times the divider that is nearest to the rate.
+const BIT_CYCLES_Q6: u32 = (CORE_HZ * 4 + UART_BAUD / 2) / UART_BAUD * 16;
+
 /// A ring cannot be lapped in less: all its bytes on end, less one for good measure.
 const LAP_MIN: Span = Span::from_steps(((RING_BYTES as u64 - 1) * BYTE_STEPS_Q8 as u64) >> 8);
+/// One byte on the wire.
+const BYTE: Span = Span::from_steps((BYTE_STEPS_Q8 >> 8) as u64 + 1);
 /// Bytes that a UART's transmitter holds.
 const FIFO_BYTES: usize = 32;
 /// Permanent request: a transfer that waits for nothing.
@@ -40,6 +58,8 @@ const TREQ_NONE: u32 = 0x3f;
 /// Fields of a channel's control word.
 mod ctrl {
     pub(super) const ENABLE: u32 = 1;
+    /// Before the channels without it: those that send would make stamps late.
+    pub(super) const HIGH_PRIORITY: u32 = 1 << 1;
     pub(super) const WORDS: u32 = 2 << 2;
     pub(super) const INCREMENT_READ: u32 = 1 << 4;
     pub(super) const INCREMENT_WRITE: u32 = 1 << 5;
@@ -60,7 +80,7 @@ mod ctrl {
     }
 }
 
-/// A byte ring and a stamp ring, each aligned to its size as the DMA's wrapping demands.
+/// A stamp ring and a ring of bytes or of stamps' sixteenths, each aligned to its size as the DMA's wrapping demands.
 #[repr(align(2048))]
 struct Stamps(UnsafeCell<[u32; RING_BYTES]>);
 #[repr(align(512))]
@@ -76,6 +96,7 @@ unsafe impl Sync for Bytes {}
 unsafe impl Sync for FrameRoom {}
 
 static RX_STAMP_BUFFER: [Stamps; 2] = [const { Stamps(UnsafeCell::new([0; RING_BYTES])) }; 2];
+static RX_SIXTEENTHS_BUFFER: [Bytes; 2] = [const { Bytes(UnsafeCell::new([0; RING_BYTES])) }; 2];
 static RX_BYTE_BUFFER: [Bytes; 2] = [const { Bytes(UnsafeCell::new([0; RING_BYTES])) }; 2];
 static TX_FRAME_BUFFER: [FrameRoom; 2] = [const { FrameRoom(UnsafeCell::new([0; FRAME_BYTES])) }; 2];
 /// Place up to which bytes were looked at: by the interrupt, or by routing while the interrupt is off.
@@ -89,12 +110,15 @@ static RX_WAITS: [AtomicBool; 2] = [const { AtomicBool::new(false) }; 2];
 #[derive(Clone, Copy)]
 struct Channels {
     bytes: usize,
+    sixteenths: usize,
     stamps: usize,
     transmit: usize,
 }
 
-const CHANNELS: [Channels; 2] =
-    [Channels { bytes: 0, stamps: 1, transmit: 4 }, Channels { bytes: 2, stamps: 3, transmit: 5 }];
+const CHANNELS: [Channels; 2] = [
+    Channels { bytes: 0, sixteenths: 6, stamps: 1, transmit: 4 },
+    Channels { bytes: 2, sixteenths: 7, stamps: 3, transmit: 5 },
+];
 /// Request numbers of the UARTs' transmitters and receivers.
 const REQUESTS: [(u32, u32); 2] = [(20, 21), (22, 23)];
 
@@ -137,37 +161,40 @@ pub(crate) fn start(dma: &pac::DMA, resets: &mut pac::RESETS) -> [DmaUart; 2] {
     })
 }
 
+/// A channel that writes one element of 2^`shift` bytes into a ring of [`RING_BYTES`] elements, then has `next` do so.
+const fn ring_ctrl(shift: u32, next: usize) -> u32 {
+    let ring = ctrl::INCREMENT_WRITE | ctrl::ring(RING_BITS + shift) | ctrl::RING_ON_WRITE;
+    ctrl::ENABLE | ctrl::HIGH_PRIORITY | ring | ctrl::chain_to(next)
+}
+
 fn start_receiver(dma: &pac::DMA, number: usize) {
-    let Channels { bytes, stamps, .. } = CHANNELS[number];
-    let stamp_ctrl = ctrl::ENABLE
-        | ctrl::WORDS
-        | ctrl::INCREMENT_WRITE
-        | ctrl::ring(RING_BITS + 2)
-        | ctrl::RING_ON_WRITE
-        | ctrl::chain_to(bytes)
-        | ctrl::request(TREQ_NONE)
-        | ctrl::QUIET;
-    let byte_ctrl = ctrl::ENABLE
-        | ctrl::INCREMENT_WRITE
-        | ctrl::ring(RING_BITS)
-        | ctrl::RING_ON_WRITE
-        | ctrl::chain_to(stamps)
-        | ctrl::request(REQUESTS[number].1);
-    let channel = dma.ch(stamps);
-    // SAFETY: the addresses are the timer's and of rings that live for good and are aligned to their size
-    unsafe {
-        channel.ch_read_addr().write(|w| w.bits(clock::stamp_address()));
-        channel.ch_write_addr().write(|w| w.bits(RX_STAMP_BUFFER[number].0.get() as u32));
-        channel.ch_trans_count().write(|w| w.bits(1));
-        channel.ch_al1_ctrl().write(|w| w.bits(stamp_ctrl));
-    }
-    let channel = dma.ch(bytes);
-    // SAFETY: as above, and the UART's data register
-    unsafe {
-        channel.ch_read_addr().write(|w| w.bits(uart(number).uartdr().as_ptr() as u32));
-        channel.ch_write_addr().write(|w| w.bits(RX_BYTE_BUFFER[number].0.get() as u32));
-        channel.ch_trans_count().write(|w| w.bits(1));
-        channel.ch_ctrl_trig().write(|w| w.bits(byte_ctrl));
+    let Channels { bytes, sixteenths, stamps, .. } = CHANNELS[number];
+    // in order of their work; what comes last must not be running before the first is triggered
+    let setups = [
+        (stamps, clock::us_address(), RX_STAMP_BUFFER[number].0.get() as u32),
+        (sixteenths, clock::sixteenths_address(), RX_SIXTEENTHS_BUFFER[number].0.get() as u32),
+        (bytes, uart(number).uartdr().as_ptr() as u32, RX_BYTE_BUFFER[number].0.get() as u32),
+    ];
+    let at_once = ctrl::request(TREQ_NONE) | ctrl::QUIET;
+    let controls = [
+        ctrl::WORDS | ring_ctrl(2, bytes) | at_once,
+        ring_ctrl(0, stamps) | at_once,
+        ring_ctrl(0, sixteenths) | ctrl::request(REQUESTS[number].1),
+    ];
+    for ((index, from, to), control) in setups.into_iter().zip(controls) {
+        let channel = dma.ch(index);
+        // SAFETY: from the counters and the UART's data register, to rings that live for good and are aligned to their size
+        unsafe {
+            channel.ch_read_addr().write(|w| w.bits(from));
+            channel.ch_write_addr().write(|w| w.bits(to));
+            channel.ch_trans_count().write(|w| w.bits(1));
+            // the first of the three is triggered by its last register, the others by the chain
+            if index == bytes {
+                channel.ch_ctrl_trig().write(|w| w.bits(control));
+            } else {
+                channel.ch_al1_ctrl().write(|w| w.bits(control));
+            }
+        }
     }
 }
 
@@ -227,7 +254,7 @@ pub fn clear_transmitted() {
 
 impl DmaUart {
     /// Where the next stamp will stand, and the one that stands there now: as long as a byte does not come in between.
-    fn end_and_stamp(&self) -> (usize, u32) {
+    fn end_and_stamp(&self) -> (usize, Stamp) {
         loop {
             let end = self.end();
             let stamp = stamp_at(self.number, end);
@@ -235,6 +262,53 @@ impl DmaUart {
                 return (end, stamp);
             }
         }
+    }
+
+    /// When the transmitter's shift register will be empty: `now` where it is, else when what it was given will have left.
+    #[must_use]
+    pub fn idle_at(&self, now: LocalTicks) -> LocalTicks {
+        if self.is_idle() {
+            return now;
+        }
+        // where the reckoning says that all has left, the last byte is still on its way
+        self.sent_at.max(now + BYTE)
+    }
+
+    /// Nothing is in the shift register, in the FIFO or on its way there.
+    fn is_idle(&self) -> bool {
+        let dma_busy = dma().ch(CHANNELS[self.number].transmit).ch_al1_ctrl().read().bits() & ctrl::BUSY != 0;
+        !dma_busy && uart(self.number).uartfr().read().busy().bit_is_clear()
+    }
+
+    /// As [`Wire::send_head`], for a frame that says when it left: returns when the transmitter was given its first byte, which it puts on the
+    /// wire at once. `None` where it was not idle, or `len` is 0: then nothing has left, and the rest of the frame must not be sent either.
+    ///
+    /// Interrupts are masked from the look at the transmitter to the first byte.
+    #[must_use]
+    pub fn send_head_stamped(&mut self, len: usize) -> Option<LocalTicks> {
+        let uart = uart(self.number);
+        // SAFETY: as in `room`
+        let frame = unsafe { &*TX_FRAME_BUFFER[self.number].0.get() };
+        let head = &frame[..len.min(FIFO_BYTES)];
+        let (first, rest) = head.split_first()?;
+        if !self.is_idle() {
+            return None;
+        }
+        let stamp = cortex_m::interrupt::free(|_| {
+            let idle = uart.uartfr().read().busy().bit_is_clear();
+            idle.then(|| {
+                let stamp = clock::stamp();
+                // SAFETY: any byte may be sent
+                uart.uartdr().write(|w| unsafe { w.data().bits(*first) });
+                stamp
+            })
+        })?;
+        for byte in rest {
+            // SAFETY: any byte may be sent
+            uart.uartdr().write(|w| unsafe { w.data().bits(*byte) });
+        }
+        self.head = head.len();
+        Some(clock::at_stamp(stamp, clock::now()))
     }
 
     /// Place behind what has come: a byte is there once its stamp is.
@@ -321,9 +395,14 @@ impl Wire for DmaUart {
 }
 
 /// The stamp at a place of a ring.
-fn stamp_at(number: usize, place: usize) -> u32 {
-    // SAFETY: `place` is masked to the ring; volatile since the DMA wrote it
-    unsafe { RX_STAMP_BUFFER[number].0.get().cast::<u32>().add(place & RING_MASK).read_volatile() }
+fn stamp_at(number: usize, place: usize) -> Stamp {
+    let place = place & RING_MASK;
+    // SAFETY: `place` is masked to the rings; volatile since the DMA wrote them
+    unsafe {
+        let us = RX_STAMP_BUFFER[number].0.get().cast::<u32>().add(place).read_volatile();
+        let sixteenths = RX_SIXTEENTHS_BUFFER[number].0.get().cast::<u8>().add(place).read_volatile();
+        Stamp { us, sixteenths }
+    }
 }
 
 /// Place in a ring of what is at `address`, for elements of 2^`shift` bytes.

@@ -49,6 +49,13 @@ pub type PicoServices = firmware_app::Services<PACKET_BYTES, MESSAGE_BYTES>;
 #[cfg(not(feature = "services"))]
 pub type PicoServices = ();
 
+/// What stands in for interpolation.
+#[cfg(feature = "pace")]
+pub type PicoInterpolation = crate::interpolation::Interpolation;
+/// None of it.
+#[cfg(not(feature = "pace"))]
+pub type PicoInterpolation = ();
+
 /// The kinds this image can be: all that there are, or in a node alone these without their services.
 static KINDS: [Kind; kind::KINDS.len()] = if cfg!(feature = "services") { kind::KINDS } else { kind::WITHOUT_PORTS };
 
@@ -193,6 +200,8 @@ pub fn start(peripherals: Peripherals) -> Parts {
         #[cfg(feature = "usb")]
         usb,
     };
+    #[cfg(feature = "pace")]
+    board.pace.start();
     #[cfg(feature = "watchdog")]
     let watchdog = {
         let mut watchdog = board.watchdog;

@@ -1,16 +1,18 @@
 //! A Raspberry Pi Pico in the network: two UART links and USB, an RP2040 at 125 MHz, all code in RAM.
 //!
-//! | task        | bound to      | priority | every µs | deadline µs | shares      | worst cycles (measured) | lock cycles |
-//! |-------------|---------------|----------|----------|-------------|-------------|-------------------------|-------------|
-//! | receive     | `DMA_IRQ_0`   | 3        | 300      | 1,706       | -           | 4,320                   | -           |
-//! | transmitted | `DMA_IRQ_1`   | 2        | 435      | -           | -           | 55                      | -           |
-//! | wake        | `TIMER_IRQ_0` | 2        | 300      | -           | -           | 60                      | -           |
-//! | usb         | `USBCTRL_IRQ` | 2        | 1,000    | -           | links       | 1,020                   | -           |
-//! | route       | `SW0_IRQ`     | 2        | 435      | 853         | node, links | 39,000                  | -           |
-//! | serve       | `SW1_IRQ`     | 1        | -        | -           | node        | -                       | 420         |
-//! | idle        | -             | 0        | -        | -           | node        | -                       | 420         |
+//! | task        | bound to       | priority | every µs | deadline µs | shares      | worst cycles (measured) | lock cycles |
+//! |-------------|----------------|----------|----------|-------------|-------------|-------------------------|-------------|
+//! | interpolate | `PWM_IRQ_WRAP` | 4        | 64       | 64          | -           | 920                     | -           |
+//! | receive     | `DMA_IRQ_0`    | 3        | 300      | 1,706       | -           | 4,320                   | -           |
+//! | transmitted | `DMA_IRQ_1`    | 2        | 435      | -           | -           | 55                      | -           |
+//! | wake        | `TIMER_IRQ_0`  | 2        | 300      | -           | -           | 60                      | -           |
+//! | usb         | `USBCTRL_IRQ`  | 2        | 1,000    | -           | links       | 1,020                   | -           |
+//! | route       | `SW0_IRQ`      | 2        | 435      | 853         | node, links | 39,000                  | -           |
+//! | serve       | `SW1_IRQ`      | 1        | -        | -           | node        | -                       | 420         |
+//! | idle        | -              | 0        | -        | -           | node        | -                       | 420         |
 //!
-//! Priority 4 is kept for interpolation. Bytes and their stamps are moved by DMA, so that no priority is urgent for them. The node is held by
+//! Priority 4 is interpolation's. Until there is motion its task is there with the feature `pace` only, with a load of that size in its place
+//! (`interpolation`); the table counts it always. Bytes and their stamps are moved by DMA, so that no priority is urgent for them. The node is held by
 //! `serve` for single calls; a service works without it.
 //!
 //! `cargo xtask hil cycles` measures, `cargo xtask hil rta` calculates response times from this table; the cycles are the most seen, and a
@@ -29,6 +31,8 @@ mod bare;
 mod device;
 #[cfg(feature = "report")]
 mod handlers;
+#[cfg(feature = "pace")]
+mod interpolation;
 
 #[cfg(not(feature = "report"))]
 #[panic_handler]
@@ -41,7 +45,9 @@ fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
 mod app {
     #[cfg(feature = "services")]
     use crate::device::SharedNode;
-    use crate::device::{Keeper, PicoLinks, PicoNode, PicoServices, ROUTE, Routing, SERVE, wake_routing};
+    use crate::device::{
+        Keeper, PicoInterpolation, PicoLinks, PicoNode, PicoServices, ROUTE, Routing, SERVE, wake_routing,
+    };
     use board_rp2040_pico::clock::Alarm;
     use board_rp2040_pico::uart;
     use fixed_math::time::LocalTicks;
@@ -61,13 +67,15 @@ mod app {
         routing: Routing,
         services: PicoServices,
         keeper: Keeper,
+        interpolation: PicoInterpolation,
     }
 
     #[init]
     fn init(cx: init::Context) -> (Shared, Local) {
         let crate::device::Parts { node, links, routing, services, keeper } = crate::device::start(cx.device);
         wake_routing();
-        (Shared { node, links, due: None }, Local { routing, services, keeper })
+        let local = Local { routing, services, keeper, interpolation: PicoInterpolation::default() };
+        (Shared { node, links, due: None }, local)
     }
 
     #[idle(local = [keeper], shared = [node])]
@@ -77,6 +85,12 @@ mod app {
             cx.local.keeper.keep(name);
             cortex_m::asm::wfi();
         }
+    }
+
+    #[cfg(feature = "pace")]
+    #[task(binds = PWM_IRQ_WRAP, priority = 4, local = [interpolation])]
+    fn interpolate(cx: interpolate::Context) {
+        cx.local.interpolation.beat();
     }
 
     #[task(binds = DMA_IRQ_0, priority = 3)]
