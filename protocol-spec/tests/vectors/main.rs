@@ -9,6 +9,7 @@ mod framing;
 mod headers;
 mod messages;
 mod sizes;
+mod system;
 
 use serde::Deserialize;
 use serde::de::{DeserializeOwned, Error as _};
@@ -25,7 +26,7 @@ const FILES: [&str; 10] = [
     headers::MTU,
     framing::FRAMING,
     messages::TRANSPORT,
-    messages::SYSTEM,
+    system::SYSTEM,
     messages::DISCOVERY,
     sizes::SIZES,
 ];

@@ -1,21 +1,17 @@
-//! Transports, system messages and discovery: `[TRN-01]` to `[TRN-09]`, `[SYS-01]` to `[SYS-05]`, `[DSC-01]` to `[DSC-07]`.
+//! Transports and discovery: `[TRN-01]` to `[TRN-09]`, `[DSC-01]` to `[DSC-07]`, `[TIM-11]` to `[TIM-15]`.
 
-use crate::headers::{Said, route};
 use crate::{At, Clauses, Hex, each, vector_file, vectors};
+use osap_protocol::DropCause;
 use osap_protocol::discovery::{
-    self, CounterPage, DebugPage, LinkInfo, Message, Name, PortInfo, Query, Refusal, RuntimeInfo, ScanId, TimeControl,
-    TimeSettings, UniqueId, Verbosity,
+    self, CounterPage, DebugPage, LinkInfo, Message, Name, PortInfo, Query, Refusal, RuntimeInfo, ScanId,
+    TimeAsymmetry, TimeControl, TimeLink, TimeSettings, TimeStatus, Verbosity,
 };
-use osap_protocol::header::{Terminal, emit};
-use osap_protocol::system::{ANNOUNCEMENT_VERSION, Announcement, SystemKey};
 use osap_protocol::transport::{SegmentHeader, SegmentRefusal, Sequence, SequencedHeader, SequencedKind, Transport};
-use osap_protocol::{DropCause, Instruction};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::fmt::Debug;
 
 pub(crate) const TRANSPORT: &str = "transport.toml";
-pub(crate) const SYSTEM: &str = "system.toml";
 pub(crate) const DISCOVERY: &str = "discovery.toml";
 
 #[derive(Deserialize)]
@@ -179,82 +175,6 @@ fn transports() {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct SystemFile {
-    key: Vec<NamedKey>,
-    announcement: Vec<Announced>,
-    refused: Vec<RefusedSystem>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct NamedKey {
-    name: String,
-    clause: Clauses,
-    bytes: Hex,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Announced {
-    name: String,
-    clause: Clauses,
-    bytes: Hex,
-    step: Said,
-    ttl_us: u16,
-    mtu_bytes: u16,
-    unique_id: Hex,
-    boot_epoch: u32,
-    wants_answer: bool,
-    drop: Option<u8>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RefusedSystem {
-    name: String,
-    clause: Clauses,
-    key: u8,
-    bytes: Hex,
-    cause: String,
-}
-
-#[test]
-fn system_messages() {
-    let file: SystemFile = vector_file(SYSTEM);
-    each(SYSTEM, &file.key, |at, v| {
-        let Some(Instruction::System(key)) = Instruction::decode(&v.bytes.0) else {
-            panic!("{at}: no system instruction")
-        };
-        assert_eq!(SystemKey::from_key(key).map(SystemKey::name), Some(&v.name[..]), "{at}");
-    });
-    each(SYSTEM, &file.announcement, |at, v| {
-        let announcement = Announcement {
-            version: ANNOUNCEMENT_VERSION,
-            unique_id: UniqueId(v.unique_id.0[..].try_into().expect("a unique id has twelve bytes")),
-            boot_epoch: v.boot_epoch,
-            wants_answer: v.wants_answer,
-            drop: v.drop,
-        };
-        let mut out = [0; 64];
-        let terminal = Terminal::System { key: SystemKey::Announcement.key() };
-        let start =
-            emit(&mut out, v.ttl_us, v.mtu_bytes, route(&[v.step]).as_route(), terminal).expect("room for a header");
-        let len = announcement.encode(&mut out[start..]).expect("room for an announcement");
-        assert_eq!(&out[..start + len], v.bytes.0, "{at}: written");
-        assert_eq!(Announcement::decode(&v.bytes.0[start..]), Ok(announcement), "{at}: read");
-    });
-    each(SYSTEM, &file.refused, |at, v| {
-        let cause = match SystemKey::from_key(v.key) {
-            Some(SystemKey::Announcement) => Announcement::decode(&v.bytes.0).expect_err(&at.to_string()),
-            Some(other) => panic!("{at}: {} is not read here", other.name()),
-            None => DropCause::UnknownSystemKey,
-        };
-        assert_eq!(cause.name(), v.cause, "{at}");
-    });
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
 struct DiscoveryFile {
     message: Vec<Exchange>,
     time_control: Vec<FixedWidth>,
@@ -349,7 +269,7 @@ struct Dropped {
     cause: String,
 }
 
-vectors!(TransportKey, Sequenced, Segment, RefusedTransport, NamedKey, Announced, RefusedSystem);
+vectors!(TransportKey, Sequenced, Segment, RefusedTransport);
 vectors!(Exchange, FixedWidth, Refused, Unreadable, Dropped);
 
 /// The sequence word's meaning, checked, and what follows it.
@@ -399,7 +319,7 @@ fn queries_and_answers() {
             (Query::TypeName | Query::RuntimeName, Kind::Reply) | (Query::SetRuntimeName, Kind::Request) => {
                 agree::<Name>(at, query, rest, said);
             }
-            (Query::LinkInfo | Query::Counters, Kind::Request) => agree::<u8>(at, query, rest, said),
+            (Query::LinkInfo | Query::Counters | Query::TimeLink, Kind::Request) => agree::<u8>(at, query, rest, said),
             (Query::LinkInfo, Kind::Reply) => agree::<LinkInfo>(at, query, rest, said),
             (Query::PortInfo, Kind::Request) => agree::<u16>(at, query, rest, said),
             (Query::PortInfo, Kind::Reply) => agree::<PortInfo>(at, query, rest, said),
@@ -408,9 +328,15 @@ fn queries_and_answers() {
             (Query::SetDebugVerbosity, Kind::Request) => agree::<Verbosity>(at, query, rest, said),
             (Query::SetTimeControl, Kind::Request) => agree::<TimeSettings>(at, query, rest, said),
             (Query::Counters, Kind::Reply) => agree::<CounterPage>(at, query, rest, said),
+            (Query::TimeStatus, Kind::Reply) => agree::<TimeStatus>(at, query, rest, said),
+            (Query::TimeLink, Kind::Reply) => agree::<TimeLink>(at, query, rest, said),
+            (Query::SetTimeAsymmetry, Kind::Request) => agree::<TimeAsymmetry>(at, query, rest, said),
             (Query::TimeControl, Kind::Reply) => panic!("{at}: this answer is a kind of its own"),
-            (Query::TypeName | Query::RuntimeName | Query::TimeControl, Kind::Request)
-            | (Query::SetRuntimeName | Query::SetDebugVerbosity | Query::SetTimeControl, Kind::Reply) => {
+            (Query::TypeName | Query::RuntimeName | Query::TimeControl | Query::TimeStatus, Kind::Request)
+            | (
+                Query::SetRuntimeName | Query::SetDebugVerbosity | Query::SetTimeControl | Query::SetTimeAsymmetry,
+                Kind::Reply,
+            ) => {
                 assert!(said.is_none(), "{at}: a value where there is no body");
                 agree_on(at, query, rest, &());
             }
@@ -435,12 +361,13 @@ fn refusal_of(message: &[u8]) -> Option<Refusal> {
         match Query::from_key(key)? {
             Query::RuntimeInfo => body.read::<ScanId>().map(drop),
             Query::SetRuntimeName => body.read::<Name>().map(drop),
-            Query::LinkInfo | Query::Counters => body.read::<u8>().map(drop),
+            Query::LinkInfo | Query::Counters | Query::TimeLink => body.read::<u8>().map(drop),
             Query::PortInfo => body.read::<u16>().map(drop),
             Query::DebugMessages => body.read::<u32>().map(drop),
             Query::SetDebugVerbosity => body.read::<Verbosity>().map(drop),
             Query::SetTimeControl => body.read::<TimeSettings>()?.in_range().then_some(()).ok_or(Refusal::Range),
-            Query::TypeName | Query::RuntimeName | Query::TimeControl => body.read::<()>(),
+            Query::TypeName | Query::RuntimeName | Query::TimeControl | Query::TimeStatus => body.read::<()>(),
+            Query::SetTimeAsymmetry => body.read::<TimeAsymmetry>().map(drop),
         }
     };
     read().err()
