@@ -1,14 +1,16 @@
 //! Benchmarks, each a subcommand of `cargo xtask bench`: figures with their conditions, not tests.
 //!
 //! `runtime`: µs of CPU a message over 0 to 3 links. `overload`: commands beside telemetry at 120 % of a link, in virtual time. `scan`: a
-//! thousand nodes with loops.
+//! thousand nodes with loops. `clock`: how well clocks agree, in virtual time.
 #![forbid(unsafe_code)]
 
+mod clock;
 mod overload;
 mod runtime;
 mod scan;
 
 use clap::{Parser, Subcommand};
+use std::path::PathBuf;
 
 /// Benchmarks of the project; each prints its conditions.
 #[derive(Parser)]
@@ -31,6 +33,18 @@ enum Bench {
         #[arg(long, default_value_t = 10)]
         seconds: u64,
     },
+    /// Clocks against the truth in virtual time: errors, bounds, times to settle, by hops and servo.
+    Clock {
+        /// Seeds of the four-hop cases; the larger networks take fewer.
+        #[arg(long, default_value_t = 30)]
+        seeds: u64,
+        /// The figures as JSON.
+        #[arg(long)]
+        json: bool,
+        /// A file for the time series of each case's first seed, as CSV.
+        #[arg(long)]
+        series: Option<PathBuf>,
+    },
     /// A scan of a random network with loops: virtual time, packets, host time.
     Scan {
         /// Devices.
@@ -50,10 +64,12 @@ fn main() {
         Some(Bench::Runtime { messages }) => runtime::run(messages),
         Some(Bench::Overload { seconds }) => overload::run(seconds),
         Some(Bench::Scan { nodes, loops, seed }) => scan::run(nodes, loops, seed),
+        Some(Bench::Clock { seeds, json, series }) => clock::run(seeds, &clock::Output::new(json, series)),
         None => {
             runtime::run(2_000_000);
             overload::run(10);
             scan::run(1_000, 200, 1);
+            clock::run(30, &clock::Output::new(false, None));
         }
     }
 }
