@@ -58,13 +58,11 @@ pub(crate) fn sixteenths_address() -> u32 {
     slices().ch(SLICE).ctr().as_ptr() as u32
 }
 
-/// Both counters now, sixteenths last. Two of them taken with interrupts masked are in order.
-#[expect(clippy::inline_always, reason = "what lies between this and what it stamps is a few cycles")]
-#[inline(always)]
+/// Both counters now, sixteenths last.
 #[must_use]
 pub fn stamp() -> Stamp {
     let us = registers().timerawl().read().bits();
-    Stamp { us, sixteenths: sixteenths() }
+    Stamp { us, sixteenths: slices().ch(SLICE).ctr().read().bits().to_le_bytes()[0] }
 }
 
 /// The time since start-up, to a sixteenth of a microsecond.
@@ -126,12 +124,6 @@ pub(crate) fn start(timer: pac::TIMER, resets: &mut pac::RESETS, clocks: &Clocks
     }
     slice.csr().write(|w| w.en().set_bit());
     Alarm(())
-}
-
-#[expect(clippy::inline_always, reason = "as for `stamp`")]
-#[inline(always)]
-fn sixteenths() -> u8 {
-    slices().ch(SLICE).ctr().read().bits().to_le_bytes()[0]
 }
 
 /// Alarm 0, interrupt `TIMER_IRQ_0`.
