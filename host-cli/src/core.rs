@@ -4,7 +4,7 @@
 //! - **Invariants:** every request ends in exactly one [`Completion`] that says `last`. Every queue is bounded: requests are refused
 //!   before a completion could be lost; what streams in beyond the bound, and events that nobody asks for, are counted.
 //! - **Context:** one: the node's thread over real links, or the thread that steps a simulated world. Time is an argument.
-//! - **Clauses:** `[TRN-04]`, `[TRN-05]`, `[NOD-12]`, `[PKT-14]` (the host asks its own node as it asks any other).
+//! - **Clauses:** `[TRN-04]`, `[TRN-05]`, `[NOD-12]`, `[TIM-07]`, `[TIM-14]`, `[PKT-14]` (the host asks its own node as it asks any other).
 
 mod endpoint;
 mod message;
@@ -13,11 +13,12 @@ pub use message::{MESSAGE_BYTES_MAX, MessageOutcome};
 
 use fixed_math::time::{LocalTicks, Span};
 use message::Exchange;
-use osap_protocol::discovery::{BuildKind, LinkInfo, Neighbour, NeighbourChange, UniqueId};
+use osap_protocol::discovery::{BuildKind, LinkInfo, Neighbour, NeighbourChange, TimeSettings, UniqueId};
+use osap_protocol::time::PRIORITY_NEVER;
 use osap_protocol::transport::{Sequence, SequencedKind, Transport};
 use osap_protocol::{DropCause, GatewayIndex, PortIndex, Route, RouteBuf};
 use osap_runtime::sequenced::{Accepted, Client, Destination, Ended, Expect, RequestError, Ticket};
-use osap_runtime::{Delivery, GatewayConfig, Identity, Mailbox, Node, Outbound, PortConfig, SendError};
+use osap_runtime::{Delivery, GatewayConfig, Identity, Mailbox, Node, Outbound, PortConfig, SendError, SystemTime};
 use std::collections::VecDeque;
 
 /// Packets the host's node holds at once.
@@ -60,7 +61,9 @@ pub struct Reply {
     pub payload: Vec<u8>,
     /// The steps that the answer took, turned back: a route to whoever answered.
     pub route: RouteBuf,
-    /// From the last time the request was sent to the end of the answer's frame.
+    /// When the answer's frame ended, by the host's clock.
+    pub arrived: LocalTicks,
+    /// From the last time the request was sent to then.
     pub round_trip: Span,
     /// How often it was sent.
     pub tries: u8,
@@ -173,7 +176,7 @@ impl HostCore {
     pub fn new(identity: &HostIdentity) -> Self {
         let (node, [netrunner, stream]) = boxed_node(identity);
         let first = Sequence::new(u16::from_le_bytes([identity.unique_id.0[4], identity.unique_id.0[5]]));
-        Self {
+        let mut core = Self {
             node,
             netrunner,
             stream,
@@ -184,7 +187,9 @@ impl HostCore {
             exchange: Exchange::new(identity.unique_id.0[6]),
             statistics: Statistics::default(),
             turn: 0,
-        }
+        };
+        core.set_root(PRIORITY_NEVER);
+        core
     }
 
     /// Goes up with all that happens here: who waits for something need not look before.
@@ -309,6 +314,28 @@ impl HostCore {
         }
     }
 
+    /// System time at `at` by the host's clock.
+    #[must_use]
+    pub fn system_time(&self, at: LocalTicks) -> SystemTime {
+        self.node.system_time(at)
+    }
+
+    /// Offers itself as root by `priority`, `[TIM-07]`; a host that nobody told follows others only.
+    pub fn set_root(&mut self, priority: u8) {
+        let settings = TimeSettings { priority, ..self.node.clock().settings() };
+        // the settings it has are within their ranges, and every priority is
+        let _in_range = self.node.clock_mut().set(settings);
+    }
+
+    /// Offers UNIX time, µs since 1970 at `now`, once its own time is settled, `[TIM-14]`; tells whether it did.
+    pub fn offer_unix(&mut self, unix_us: i64, now: LocalTicks) -> bool {
+        let is_settled = self.node.clock().is_settled();
+        if is_settled {
+            self.node.clock_mut().offer_unix(unix_us, now);
+        }
+        is_settled
+    }
+
     /// When [`HostCore::run`], or a link's transmitter, has something to do even if no packet comes.
     #[must_use]
     pub fn next_wake(&self) -> Option<LocalTicks> {
@@ -386,6 +413,7 @@ impl HostCore {
         let reply = Reply {
             payload: self.node.payload(&delivery).to_vec(),
             route: self.way_back(&delivery),
+            arrived: delivery.arrived,
             round_trip,
             tries,
         };

@@ -3,6 +3,7 @@
 
 pub mod bench;
 pub mod cli;
+pub mod clocks;
 pub mod core;
 pub mod error;
 pub mod explain;

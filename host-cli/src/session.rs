@@ -55,6 +55,8 @@ pub struct OpenOptions {
     pub seed: u64,
     /// The host's name in the map; `host` where none is given.
     pub name: Option<String>,
+    /// Priority by which the host offers its own time as the network's, `[TIM-07]`; `None` to follow others only.
+    pub root: Option<u8>,
 }
 
 /// What a map taught about one route.

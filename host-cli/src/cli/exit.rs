@@ -35,11 +35,13 @@ pub enum Exit {
     Io = 8,
     /// A link beyond this machine needs a key.
     KeyNeeded = 9,
+    /// Clocks did not settle in time.
+    NotSettled = 10,
 }
 
 impl Exit {
     /// All of them, in the order of their codes.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Ok,
         Self::Differs,
         Self::Usage,
@@ -50,6 +52,7 @@ impl Exit {
         Self::Refused,
         Self::Io,
         Self::KeyNeeded,
+        Self::NotSettled,
     ];
 
     /// What the shell sees.
@@ -72,6 +75,7 @@ impl Exit {
             Self::Refused => "a device refused what it was asked",
             Self::Io => "a file, pipe or socket could not be read or written",
             Self::KeyNeeded => "a link beyond this machine needs a key",
+            Self::NotSettled => "clocks did not settle in time",
         }
     }
 
@@ -80,7 +84,7 @@ impl Exit {
     pub fn table() -> String {
         Self::ALL.iter().fold("Exit codes:".to_owned(), |mut text, exit| {
             // Writing to a string cannot fail.
-            let _ = write!(text, "\n  {}  {}", exit.code(), exit.meaning());
+            let _ = write!(text, "\n  {:<2} {}", exit.code(), exit.meaning());
             text
         })
     }
@@ -101,7 +105,7 @@ mod tests {
         let table = Exit::table();
         for (code, exit) in Exit::ALL.into_iter().enumerate() {
             assert_eq!(usize::from(exit.code()), code);
-            assert!(table.contains(&format!("\n  {code}  {}", exit.meaning())));
+            assert!(table.contains(&format!("\n  {code:<2} {}", exit.meaning())));
         }
         assert_eq!(table.lines().count(), 1 + Exit::ALL.len());
     }

@@ -2,12 +2,13 @@
 
 use super::devices::Scanned;
 use super::links::LinkArgs;
-use super::output::{STRONG, printable};
+use super::output::{STRONG, count, printable};
 use super::table::{Align, Table};
 use super::{CliError, Exit, Output};
+use crate::clocks::micros;
 use crate::map::{Device, Gateway, LeadsTo, NetworkMap};
 use clap::Args;
-use osap_protocol::discovery::{BuildKind, GatewayKind, TIER_FREE_RUNNING, TimeControl};
+use osap_protocol::discovery::{BuildKind, GatewayKind, TIER_FREE_RUNNING, TimeControl, TimeStatus};
 use osap_protocol::framing::Check;
 use serde::Serialize;
 
@@ -25,6 +26,7 @@ pub struct InfoArgs {
 struct Document<'a> {
     device: &'a Device,
     time_control: &'a TimeControl,
+    time_status: &'a TimeStatus,
 }
 
 pub(super) fn run(args: &InfoArgs, output: &mut Output<'_>) -> Result<Exit, CliError> {
@@ -32,8 +34,9 @@ pub(super) fn run(args: &InfoArgs, output: &mut Output<'_>) -> Result<Exit, CliE
     let device = scanned.device(&args.device, "info")?.clone();
     let to = scanned.session.destination_of(&device);
     let time = scanned.session.time_control(&to).map_err(|error| scanned.failed(&error))?.value;
+    let status = scanned.session.time_status(&to).map_err(|error| scanned.failed(&error))?.value;
     if output.json() {
-        output.document("info", &Document { device: &device, time_control: &time })?;
+        output.document("info", &Document { device: &device, time_control: &time, time_status: &status })?;
         return scanned.finish(Exit::Ok);
     }
     output.line(format!("{STRONG}{}{STRONG:#}", printable(&device.label())))?;
@@ -44,7 +47,7 @@ pub(super) fn run(args: &InfoArgs, output: &mut Output<'_>) -> Result<Exit, CliE
     output.text(ports(&device))?;
     output.line("")?;
     output.line(format!("{STRONG}clock{STRONG:#}"))?;
-    output.text(clock(&time).plain_body())?;
+    output.text(clock(&scanned.map, &time, &status).plain_body())?;
     scanned.finish(Exit::Ok)
 }
 
@@ -154,16 +157,28 @@ fn ports(device: &Device) -> Table {
     table
 }
 
-fn clock(time: &TimeControl) -> Table {
+fn clock(map: &NetworkMap, time: &TimeControl, status: &TimeStatus) -> Table {
     let tier = match time.tier {
         TIER_FREE_RUNNING => "free running".to_owned(),
         0 => "the root".to_owned(),
-        steps => format!("{steps} steps from the root"),
+        steps => {
+            let root = map.devices.iter().find(|device| device.unique_id == status.root);
+            let root = root.map_or_else(|| status.root.to_string(), |device| printable(&device.label()));
+            format!("{} from {root}", count(steps.into(), "step", "steps"))
+        }
     };
+    let unix = status.unix_offset_us.map(|offset_us| {
+        let system_us = i64::try_from(time.system_time_steps / 256).unwrap_or(i64::MAX);
+        let unix_us = system_us.saturating_add(offset_us);
+        format!("{}.{:06} s since 1970", unix_us.div_euclid(1_000_000), unix_us.rem_euclid(1_000_000))
+    });
     let bound = if time.bound_steps < 0 { "none can be given".to_owned() } else { micros(i64::from(time.bound_steps)) };
     pairs([
         ("synchronised", tier),
+        ("settled", if status.is_settled { "yes" } else { "no" }.to_owned()),
+        ("steered by", status.settings.servo.name().to_owned()),
         ("system time", seconds(time.system_time_steps / 256)),
+        ("UNIX time", unix.unwrap_or_else(|| "nobody offers it".to_owned())),
         ("own counter", seconds(time.local_ticks_steps / 256)),
         ("error at most", bound),
         ("rate", format!("{} ppb", time.skew_ppb)),
@@ -176,23 +191,12 @@ fn clock(time: &TimeControl) -> Table {
     ])
 }
 
-/// 1/256 µs as µs, to two digits.
-fn micros(steps: i64) -> String {
-    let hundredths = (steps.unsigned_abs() * 100 + 128) / 256;
-    let sign = if steps < 0 && hundredths > 0 { "-" } else { "" };
-    format!("{sign}{}.{:02} µs", hundredths / 100, hundredths % 100)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn times_are_rounded_to_the_hundredth_of_a_microsecond() {
-        assert_eq!(micros(256), "1.00 µs");
-        assert_eq!(micros(-384), "-1.50 µs");
-        assert_eq!(micros(-1), "0.00 µs");
-        assert_eq!(micros(255), "1.00 µs");
+    fn seconds_have_all_their_microseconds() {
         assert_eq!(seconds(1_000_001), "1.000001 s");
     }
 }

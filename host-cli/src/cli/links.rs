@@ -39,6 +39,13 @@ pub struct LinkArgs {
     /// Key file of links beyond this machine, as made by `osap key generate`
     #[arg(long, value_name = "FILE")]
     key: Option<PathBuf>,
+    /// Offers the host's own time as the network's, by this priority: lower goes before higher, devices have 128. Without it the
+    /// host only follows
+    #[arg(
+        long, value_name = "PRIORITY", num_args = 0..=1, require_equals = true, default_missing_value = "0",
+        value_parser = clap::value_parser!(u8).range(0..=254)
+    )]
+    root: Option<u8>,
     /// File to write every packet to, for Wireshark (pcapng)
     #[arg(long, value_name = "FILE")]
     capture: Option<PathBuf>,
@@ -55,7 +62,8 @@ impl LinkArgs {
     pub fn command(&self, command: &str) -> String {
         let links = self.links.iter().map(|link| format!(" --link {}", quoted(&link.to_string())));
         let key = self.key.iter().map(|file| format!(" --key {}", quoted(&file.display().to_string())));
-        format!("osap {command}{}", links.chain(key).collect::<String>())
+        let root = self.root.iter().map(|priority| format!(" --root={priority}"));
+        format!("osap {command}{}", links.chain(key).chain(root).collect::<String>())
     }
 
     /// The links, for the `where` of an error.
@@ -79,6 +87,7 @@ impl LinkArgs {
         let options = OpenOptions {
             link: LinkOptions { key, faults, ..LinkOptions::default() },
             capture: self.capture.clone(),
+            root: self.root,
             ..OpenOptions::default()
         };
         let mut session = Session::open(&specs, &options).map_err(|error| self.open_failed(&error))?;

@@ -16,6 +16,7 @@ pub mod table;
 pub mod wait;
 
 pub mod bench;
+pub mod clock;
 pub mod completions;
 pub mod counters;
 pub mod debug;
@@ -71,6 +72,7 @@ enum Command {
     Counters(counters::CountersArgs),
     Debug(debug::DebugArgs),
     Bench(bench::BenchArgs),
+    Clock(clock::ClockArgs),
     Decode(decode::DecodeArgs),
     Key(key::KeyArgs),
     Completions(completions::CompletionsArgs),
@@ -131,6 +133,7 @@ fn dispatch(command: &Command, output: &mut Output<'_>) -> Result<Exit, CliError
         Command::Counters(args) => counters::run(args, output),
         Command::Debug(args) => debug::run(args, output),
         Command::Bench(args) => bench::run(args, output),
+        Command::Clock(args) => clock::run(args, output),
         Command::Decode(args) => decoded(args, output),
         Command::Key(args) => key::run(args, output),
         Command::Completions(args) => completions::run(args, output),

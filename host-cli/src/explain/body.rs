@@ -66,6 +66,7 @@ impl Walker<'_, '_> {
         match item.shape {
             Shape::Choice(variants) => self.choice(&name, variants),
             Shape::Maybe(inner) => self.maybe(&name, inner),
+            Shape::Group(inner) => self.items(&name, inner),
             Shape::List(longest, inner) => self.list(&name, longest, inner),
             shape => {
                 let start = self.at;
@@ -88,8 +89,8 @@ impl Walker<'_, '_> {
             }
             Shape::Bool => plain(if self.flag(name)? { "yes" } else { "no" }.to_owned()),
             Shape::Varint(width, unit) => unit.of(i128::from(self.varint(name, width)?)),
-            Shape::Zigzag(unit) => {
-                let doubled = i128::from(self.varint(name, Width::U32)?);
+            Shape::Zigzag(width, unit) => {
+                let doubled = i128::from(self.varint(name, width)?);
                 unit.of(if doubled % 2 == 0 { doubled / 2 } else { -(doubled + 1) / 2 })
             }
             Shape::Fixed(width, unit) => unit.of(self.fixed(name, width)?),
@@ -106,7 +107,7 @@ impl Walker<'_, '_> {
                 (cause.name().to_owned(), cause.meaning().to_owned())
             }
             // these have others in them and are walked by `item`
-            Shape::Choice(_) | Shape::Maybe(_) | Shape::List(..) => plain(String::new()),
+            Shape::Choice(_) | Shape::Maybe(_) | Shape::Group(_) | Shape::List(..) => plain(String::new()),
         })
     }
 
@@ -183,7 +184,8 @@ impl Walker<'_, '_> {
         let bytes = self.take(name, width.bits() / 8)?;
         let raw = bytes.iter().rev().fold(0i128, |value, byte| value << 8 | i128::from(*byte));
         let half = 1i128 << (width.bits() - 1);
-        Ok(if width == Width::I32 && raw >= half { raw - 2 * half } else { raw })
+        let is_signed = matches!(width, Width::I32 | Width::I64);
+        Ok(if is_signed && raw >= half { raw - 2 * half } else { raw })
     }
 
     fn text(&mut self, name: &str, longest: usize) -> Result<String, Wrong> {

@@ -1,5 +1,5 @@
 //! What follows a route: transport headers, queries and answers, system messages. `[PKT-05]`, `[TRN-01]` to `[TRN-08]`,
-//! `[SYS-01]` to `[SYS-05]`, `[DSC-01]` to `[DSC-03]`.
+//! `[SYS-01]` to `[SYS-05]`, `[DSC-01]` to `[DSC-03]`, `[TIM-01]` to `[TIM-03]`.
 
 use super::body::{self, Shown};
 use super::packet::whose;
@@ -7,6 +7,7 @@ use super::shapes::{self, Item};
 use super::{Pen, count, hex};
 use osap_protocol::discovery::{self, Query, Refusal, TimeSettings, VERSION, check_query};
 use osap_protocol::system::{Announcement, SystemKey};
+use osap_protocol::time::{TIER_MAX, TIME_VERSION, TimeReply, TimeRequest};
 use osap_protocol::transport::{SegmentHeader, SegmentRefusal, SequencedHeader, SequencedKind, Transport};
 use osap_protocol::{DropCause, Instruction, PortIndex};
 
@@ -235,6 +236,7 @@ fn system(pen: &mut Pen<'_>, key: u8, at: usize, steps: Steps) {
     let payload = pen.bytes.get(at..).unwrap_or_default();
     match SystemKey::from_key(key) {
         Some(SystemKey::Announcement) => announcement(pen, payload, at, steps),
+        Some(key @ (SystemKey::TimeRequest | SystemKey::TimeReply)) => time(pen, key, payload, at, steps),
         Some(other) => {
             opaque(pen, at, other.name(), "a node that does not serve it counts one more unknown-system-key");
         }
@@ -264,5 +266,27 @@ fn announcement(pen: &mut Pen<'_>, payload: &[u8], at: usize, steps: Steps) {
     } else if steps.all != 1 {
         let what = format!("an announcement has a route of one step, this one has {}", steps.all);
         pen.problem(at, None, "SYS-02", what, "it tells a node of a neighbour that is none");
+    }
+}
+
+/// Two clocks' stamps: fixed width, and judged by the code that nodes run.
+fn time(pen: &mut Pen<'_>, key: SystemKey, payload: &[u8], at: usize, steps: Steps) {
+    let (items, clause, read) = match key {
+        SystemKey::TimeRequest => (shapes::TIME_REQUEST, "TIM-01", TimeRequest::decode(payload).map(|_| ())),
+        _ => (shapes::TIME_REPLY, "TIM-02", TimeReply::decode(payload).map(|_| ())),
+    };
+    let shown = body::show(pen, at, items);
+    if let Err(cause) = read {
+        let (at, what) = match shown {
+            Shown::Wrong { at, what } => (at, what),
+            Shown::Whole if payload.first() != Some(&TIME_VERSION) => {
+                (at, format!("version {} is not served", hex::hex_of(&payload[..1])))
+            }
+            Shown::Whole => (at, format!("a flag that means nothing, or a tier beyond {TIER_MAX} that is not 255")),
+        };
+        fault(pen, at, cause, clause, what, steps);
+    } else if steps.all != 1 {
+        let what = format!("a {} has a route of one step, this one has {}", key.name(), steps.all);
+        fault(pen, at, DropCause::SystemMalformed, clause, what, steps);
     }
 }

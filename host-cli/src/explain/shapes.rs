@@ -1,4 +1,4 @@
-//! The bodies of `[DSC-01]` and `[SYS-02]` as tables: what stands in them, in the order of their bytes.
+//! The bodies of `[DSC-01]`, `[SYS-02]`, `[TIM-01]` and `[TIM-02]` as tables: what stands in them, in the order of their bytes.
 //!
 //! The types themselves stand in `osap_protocol`; `postcard` writes no names, so they are said again here. The test
 //! `both_readers_agree` fails where one of these tables and its type drift apart.
@@ -22,8 +22,8 @@ pub(super) enum Shape {
     FirstCounter,
     Bool,
     Varint(Width, Unit),
-    /// A signed number of 32 bits, doubled, as a varint.
-    Zigzag(Unit),
+    /// A signed number of this width, doubled, as a varint.
+    Zigzag(Width, Unit),
     Fixed(Width, Unit),
     /// A length and that many bytes of UTF-8; at most so many.
     Text(usize),
@@ -34,6 +34,8 @@ pub(super) enum Shape {
     /// The number of a drop cause.
     Cause,
     Choice(&'static [Variant]),
+    /// These, one behind the other.
+    Group(&'static [Item]),
     Maybe(&'static [Item]),
     /// At most so many of these.
     List(usize, &'static [Item]),
@@ -46,6 +48,7 @@ pub(super) enum Width {
     U32,
     I32,
     U64,
+    I64,
 }
 
 impl Width {
@@ -53,7 +56,7 @@ impl Width {
         match self {
             Self::U16 => 16,
             Self::U32 | Self::I32 => 32,
-            Self::U64 => 64,
+            Self::U64 | Self::I64 => 64,
         }
     }
 }
@@ -86,13 +89,22 @@ const fn fixed(name: &'static str, unit: Unit) -> Item {
     item(name, Shape::Fixed(Width::I32, unit))
 }
 
+const fn steps(name: &'static str, width: Width) -> Item {
+    item(name, Shape::Varint(width, Unit::Steps))
+}
+
+const fn signed(name: &'static str, unit: Unit) -> Item {
+    item(name, Shape::Zigzag(Width::U32, unit))
+}
+
 const NAME: Shape = Shape::Text(NAME_BYTES_MAX);
 const UNIQUE_ID: Item = item("unique id", Shape::Digits(12));
+const VERSION: Item = item("version", Shape::Byte);
 const BOOT_EPOCH: Item = varint("boot epoch", Width::U32);
 
 /// Body of a link announcement.
 pub(super) const ANNOUNCEMENT: &[Item] = &[
-    item("version", Shape::Byte),
+    VERSION,
     UNIQUE_ID,
     BOOT_EPOCH,
     item("wants answer", Shape::Bool),
@@ -166,13 +178,21 @@ const EVENTS: Shape = Shape::Choice(&[
     ("renamed", &[]),
     ("stage", &[item("stage", STAGES), varint("index", Width::U16)]),
     ("text", &[item("text", Shape::Text(TEXT_BYTES_MAX))]),
+    ("clock", &[item("change", CLOCK_CHANGES), item("tier", Shape::Byte)]),
 ]);
+
+const CLOCK_CHANGES: Shape =
+    Shape::Choice(&[("another root", &[]), ("time set anew", &[]), ("root lost", &[]), ("settled", &[])]);
+
+const CLOCK_MARK: &[Item] =
+    &[steps("own", Width::U64), steps("system", Width::U64), signed("rate", PPB), steps("bound", Width::U32)];
 
 const DEBUG_PAGE: &[Item] = &[
     varint("first", Width::U32),
     varint("next", Width::U32),
     varint("end", Width::U32),
     VERBOSITY,
+    item("clock", Shape::Maybe(CLOCK_MARK)),
     item("event", Shape::List(EVENTS_A_PAGE, &[item("at", Shape::Varint(Width::U64, US)), item("tells of", EVENTS)])),
 ];
 
@@ -201,11 +221,76 @@ const TIME_CONTROL: &[Item] = &[
 
 const TIME_SETTINGS: &[Item] = &[
     item("interval", Shape::Varint(Width::U32, US)),
-    item("filter", Shape::Zigzag(Q16)),
-    item("proportional gain", Shape::Zigzag(Q16)),
-    item("integral gain", Shape::Zigzag(Q16)),
-    item("skew limit", Shape::Zigzag(PPB)),
-    item("gate", Shape::Zigzag(Unit::Steps)),
+    signed("filter", Q16),
+    signed("proportional gain", Q16),
+    signed("integral gain", Q16),
+    signed("skew limit", PPB),
+    signed("gate", Unit::Steps),
+    item("servo", Shape::Choice(&[("estimator", &[]), ("diffusion", &[]), ("oldest", &[])])),
+    item("priority", Shape::Byte),
+];
+
+const ROOT: Item = item("root", Shape::Digits(12));
+
+const TIME_STATUS: &[Item] = &[
+    item("set", Shape::Group(TIME_SETTINGS)),
+    item("tier", Shape::Byte),
+    item("root priority", Shape::Byte),
+    ROOT,
+    item("settled", Shape::Bool),
+    item("live", Shape::Bool),
+    varint("sources", Width::U64),
+    steps("error", Width::U32),
+    item("drift", Shape::Varint(Width::U32, PPB)),
+    item("behind", Shape::Zigzag(Width::U64, Unit::Steps)),
+    item("age", Shape::Varint(Width::U32, US)),
+    item("UNIX offset", Shape::Maybe(&[item("is", Shape::Zigzag(Width::U64, US))])),
+    varint("set anew", Width::U16),
+    varint("root changes", Width::U16),
+];
+
+const TIME_LINK: &[Item] = &[
+    item("tier", Shape::Byte),
+    ROOT,
+    varint("exchanges", Width::U32),
+    varint("unanswered", Width::U32),
+    varint("refused", Width::U32),
+    item("offset", Shape::Zigzag(Width::U64, Unit::Steps)),
+    signed("rate", PPB),
+    steps("round trip", Width::U32),
+    steps("least round trip", Width::U32),
+    steps("error", Width::U32),
+    steps("bound", Width::U32),
+    signed("asymmetry", Unit::Steps),
+];
+
+const TIME_ASYMMETRY: &[Item] = &[item("type name", NAME), signed("asymmetry", Unit::Steps)];
+
+const SEQUENCE: Item = item("sequence", Shape::Byte);
+
+/// Body of a time request, `[TIM-01]`.
+pub(super) const TIME_REQUEST: &[Item] = &[VERSION, SEQUENCE, item("departed", Shape::Fixed(Width::U32, Unit::Steps))];
+
+/// Body of a time reply, `[TIM-02]`.
+pub(super) const TIME_REPLY: &[Item] = &[
+    VERSION,
+    SEQUENCE,
+    item("asked at", Shape::Fixed(Width::U32, Unit::Steps)),
+    item("heard at", Shape::Fixed(Width::U64, Unit::Steps)),
+    item("system time", Shape::Fixed(Width::U64, Unit::Steps)),
+    fixed("rate", Unit::Named("/ 2³²")),
+    item("error", Shape::Fixed(Width::U32, Unit::Steps)),
+    item("bound", Shape::Fixed(Width::U32, Unit::Steps)),
+    item("drift", Shape::Fixed(Width::U32, Unit::Named("/ 2³²"))),
+    item("age", Shape::Fixed(Width::U32, US)),
+    item("tick", Shape::Fixed(Width::U16, Unit::Steps)),
+    item("tier", Shape::Byte),
+    item("root priority", Shape::Byte),
+    ROOT,
+    item("flags", Shape::Byte),
+    item("UNIX offset", Shape::Fixed(Width::I64, US)),
+    item("UNIX hops", Shape::Byte),
+    item("departed", Shape::Fixed(Width::U32, Unit::Steps)),
 ];
 
 const ONE_NAME: &[Item] = &[item("name", NAME)];
@@ -219,17 +304,15 @@ const ONE_COUNTER: &[Item] = &[item("first", Shape::Byte)];
 pub(super) const fn request(query: Query) -> &'static [Item] {
     match query {
         Query::RuntimeInfo => SCAN_ID,
-        Query::TypeName | Query::RuntimeName | Query::TimeControl => &[],
+        Query::TypeName | Query::RuntimeName | Query::TimeControl | Query::TimeStatus => &[],
         Query::SetRuntimeName => ONE_NAME,
-        Query::LinkInfo => ONE_GATEWAY,
+        Query::LinkInfo | Query::TimeLink => ONE_GATEWAY,
         Query::PortInfo => ONE_PORT,
         Query::DebugMessages => ONE_CURSOR,
         Query::SetDebugVerbosity => ONE_VERBOSITY,
         Query::SetTimeControl => TIME_SETTINGS,
         Query::Counters => ONE_COUNTER,
-        Query::TimeStatus => &[],
-        Query::TimeLink => ONE_GATEWAY,
-        Query::SetTimeAsymmetry => &[],
+        Query::SetTimeAsymmetry => TIME_ASYMMETRY,
     }
 }
 
@@ -238,12 +321,13 @@ pub(super) const fn answer(query: Query) -> &'static [Item] {
     match query {
         Query::RuntimeInfo => RUNTIME_INFO,
         Query::TypeName | Query::RuntimeName => ONE_NAME,
-        Query::SetRuntimeName | Query::SetDebugVerbosity | Query::SetTimeControl => &[],
+        Query::SetRuntimeName | Query::SetDebugVerbosity | Query::SetTimeControl | Query::SetTimeAsymmetry => &[],
         Query::LinkInfo => LINK_INFO,
         Query::PortInfo => PORT_INFO,
         Query::DebugMessages => DEBUG_PAGE,
         Query::TimeControl => TIME_CONTROL,
         Query::Counters => COUNTER_PAGE,
-        Query::TimeStatus | Query::TimeLink | Query::SetTimeAsymmetry => &[],
+        Query::TimeStatus => TIME_STATUS,
+        Query::TimeLink => TIME_LINK,
     }
 }

@@ -2,12 +2,14 @@
 
 use super::body::{Shown, show};
 use super::*;
+use fixed_math::time::{NetTime, Rate};
 use osap_protocol::discovery::{
-    self, CounterPage, DebugPage, LinkInfo, Name, PortInfo, Query, Refusal, RuntimeInfo, ScanId, TimeControl,
-    TimeSettings, Verbosity,
+    self, CounterPage, DebugPage, LinkInfo, Name, PortInfo, Query, Refusal, RuntimeInfo, ScanId, TimeAsymmetry,
+    TimeControl, TimeLink, TimeSettings, TimeStatus, Verbosity,
 };
 use osap_protocol::framing::{encode, encoded_len_max};
 use osap_protocol::system::Announcement;
+use osap_protocol::time::{TimeReply, TimeRequest, UnixOffset};
 use proptest::prelude::*;
 use serde::Deserialize;
 
@@ -114,6 +116,10 @@ fn what_is_wrong_has_its_name_and_clause() {
         ("06 e8 03 40 00 41 02 01 01", "system-malformed", "SYS-05"),
         ("06 e8 03 40 00 41 02 02 01 02 03 04 05 06 07 08 09 0a 0b 0c 07 01 00", "system-malformed", "SYS-05"),
         ("06 e8 03 40 00 41 c0 18 00 01 05 00 01", "query-malformed", "DSC-02"),
+        ("06 e8 03 40 00 41 00 01 07 00 01 00", "system-malformed", "TIM-01"),
+        ("06 e8 03 40 00 41 00 02 07 00 01 00 00", "system-malformed", "TIM-01"),
+        ("06 e8 03 40 00 41 01 01 07 00 01 00 00", "system-malformed", "TIM-02"),
+        ("07 e8 03 40 00 41 42 00 01 07 00 01 00 00", "system-malformed", "TIM-01"),
     ] {
         let explanation = explained(hex, Options::Packet);
         let found: Vec<_> = explanation.problems.iter().map(|it| (it.drop_cause, it.clause)).collect();
@@ -166,7 +172,7 @@ fn refused_queries_and_refusals_are_told_apart() {
         ("05 00 01 02 ac 02 01", Refusal::Version),
         ("05 00 01 01 ac", Refusal::Body),
         ("05 00 04 01 02 c3 28", Refusal::Body),
-        ("05 00 0a 01 00 be 14 80 80 08 00 c0 9a 0c 80 90 03", Refusal::Range),
+        ("05 00 0a 01 00 be 14 80 80 08 00 c0 9a 0c 80 90 03 00 80", Refusal::Range),
     ] {
         let explanation = explained(&format!("{TO_0}{body}"), Options::Packet);
         assert_eq!(causes(&explanation), [None], "{body}");
@@ -207,6 +213,38 @@ fn answers_are_read_down_to_their_values() {
     assert!(control.problems.is_empty() && counters.problems.is_empty());
 }
 
+/// `[TIM-01]`, `[TIM-02]`: both messages down to their slots, with what stands in them in µs.
+#[test]
+fn messages_about_time_are_read_down_to_their_slots() {
+    let asked = explained("06 ff ff 80 00 41 00 01 07 00 01 00 00", Options::Packet);
+    let slot = asked.field("departed").unwrap();
+    assert_eq!((slot.value.as_str(), slot.note.as_str()), ("256 steps", "1.000 µs"));
+    let said = TimeReply {
+        sequence: 7,
+        asked_slot: 256,
+        system: NetTime::from_us(77),
+        rate: Rate::from_bits(-3),
+        tier: 1,
+        unix: Some(UnixOffset { offset_us: -5, hops: 2 }),
+        ..TimeReply::default()
+    };
+    let mut body = [0; TimeReply::LEN];
+    said.encode(&mut body).unwrap();
+    let mut packet = parse_hex("06 ff ff 80 00 41 01").unwrap();
+    packet.extend(body);
+    let answered = explain(&packet, Options::Packet);
+    assert_eq!(answered.problems, []);
+    for (name, value) in
+        [("asked at", "256 steps"), ("system time", "19712 steps"), ("rate", "-3 / 2³²"), ("UNIX offset", "-5 µs")]
+    {
+        assert_eq!(answered.field(name).unwrap().value, value);
+    }
+    // a flag that nobody has
+    let flags = packet.len() - 4 - 9 - 1;
+    packet[flags] |= 8;
+    assert_eq!(explain(&packet, Options::Packet).problems[0].clause, "TIM-02");
+}
+
 #[test]
 fn what_is_taken_for_a_frame_is_said_with_its_reason() {
     let packet = parse_hex("05 e8 03 40 00 41 c0 18 01 00 2a").unwrap();
@@ -245,7 +283,7 @@ fn the_json_names_its_schema_and_all_bytes() {
 }
 
 /// Bodies that are whole, by query and direction; the property below damages them.
-const BODIES: [(Query, bool, &str); 13] = [
+const BODIES: [(Query, bool, &str); 17] = [
     (Query::RuntimeInfo, true, "ac 02 01"),
     (
         Query::RuntimeInfo,
@@ -261,10 +299,22 @@ const BODIES: [(Query, bool, &str); 13] = [
     (Query::LinkInfo, false, "05 72 73 34 38 35 01 03 00 80 01 00 0a 02 00 02 00 00 00"),
     (Query::PortInfo, true, "c8 01"),
     (Query::PortInfo, false, "0c 6e 65 74 72 65 73 70 6f 6e 64 65 72 00 02 05 04"),
-    (Query::DebugMessages, false, "00 04 07 02 04 e8 07 00 03 01 01 d0 0f 01 01 00 b8 17 02 00 03 a0 1f 03"),
-    (Query::DebugMessages, false, "04 07 07 03 03 01 00 0f 00 02 04 03 ac 02 03 05 03 68 6f 74"),
+    (Query::DebugMessages, false, "00 04 07 02 00 04 e8 07 00 03 01 01 d0 0f 01 01 00 b8 17 02 00 03 a0 1f 03"),
+    (
+        Query::DebugMessages,
+        false,
+        "04 07 07 03 01 90 4e a8 46 07 ac 02 04 01 00 0f 00 02 04 03 ac 02 03 05 03 68 6f 74 04 06 03 01",
+    ),
     (Query::SetDebugVerbosity, true, "03"),
-    (Query::SetTimeControl, true, "90 4e be 14 80 80 08 00 c0 9a 0c 80 90 03"),
+    (Query::SetTimeControl, true, "90 4e be 14 80 80 08 00 c0 9a 0c 80 90 03 01 80"),
+    (
+        Query::TimeStatus,
+        false,
+        "90 4e be 14 80 80 08 00 c0 9a 0c 80 90 03 00 80 01 80 01 02 03 04 05 06 07 08 09 0a 0b 0c 01 00 01 3c ac 02 03 d0 0f 01 04 01 02",
+    ),
+    (Query::TimeLink, false, "00 01 02 03 04 05 06 07 08 09 0a 0b 0c ac 02 01 00 01 9f 9c 01 80 02 80 02 05 80 04 00"),
+    (Query::TimeLink, true, "03"),
+    (Query::SetTimeAsymmetry, true, "04 75 61 72 74 0f"),
     (Query::Counters, false, "10 1e 04 00 01 ac 02 ff ff ff ff 0f"),
     (Query::TypeName, true, ""),
 ];
@@ -279,7 +329,7 @@ fn node_reads(query: Query, is_request: bool, body: &[u8]) -> bool {
         (Query::RuntimeInfo, true) => reads::<ScanId>(&message),
         (Query::RuntimeInfo, false) => reads::<RuntimeInfo>(&message),
         (Query::TypeName | Query::RuntimeName, false) | (Query::SetRuntimeName, true) => reads::<Name>(&message),
-        (Query::LinkInfo | Query::Counters, true) => reads::<u8>(&message),
+        (Query::LinkInfo | Query::Counters | Query::TimeLink, true) => reads::<u8>(&message),
         (Query::LinkInfo, false) => reads::<LinkInfo>(&message),
         (Query::PortInfo, true) => reads::<u16>(&message),
         (Query::PortInfo, false) => reads::<PortInfo>(&message),
@@ -288,6 +338,9 @@ fn node_reads(query: Query, is_request: bool, body: &[u8]) -> bool {
         (Query::SetDebugVerbosity, true) => reads::<Verbosity>(&message),
         (Query::SetTimeControl, true) => reads::<TimeSettings>(&message),
         (Query::TimeControl, false) => reads::<TimeControl>(&message),
+        (Query::TimeStatus, false) => reads::<TimeStatus>(&message),
+        (Query::TimeLink, false) => reads::<TimeLink>(&message),
+        (Query::SetTimeAsymmetry, true) => reads::<TimeAsymmetry>(&message),
         (Query::Counters, false) => reads::<CounterPage>(&message),
         _ => reads::<()>(&message),
     }
@@ -310,7 +363,7 @@ fn the_bodies_are_whole_before_they_are_damaged() {
 #[test]
 fn both_readers_stop_at_the_same_bounds() {
     let text = |len: u8| [&[len], &vec![b'x'; usize::from(len)][..]].concat();
-    let events = |event: &[u8], count: u8| [&[0, 0, 0, 0, count], &event.repeat(usize::from(count))[..]].concat();
+    let events = |event: &[u8], count: u8| [&[0, 0, 0, 0, 0, count], &event.repeat(usize::from(count))[..]].concat();
     let counters = |count: u8| [&[0, 30, count], &vec![1; usize::from(count)][..]].concat();
     let said = |len: u8| events(&[&[1, 5], &text(len)[..]].concat(), 1);
     let after = |head: &[u8], number: &str| [head, &parse_hex(number).unwrap()].concat();
@@ -324,11 +377,13 @@ fn both_readers_stop_at_the_same_bounds() {
         (Query::DebugMessages, true, after(&[], "ff ff ff ff 0f"), after(&[], "ff ff ff ff 8f 00")),
         (Query::DebugMessages, false, events(&[1, 3], 4), events(&[1, 3], 5)),
         (Query::DebugMessages, false, said(40), said(41)),
-        (Query::DebugMessages, false, events(&[1, 0, 29, 0], 1), events(&[1, 0, 30, 0], 1)),
+        (Query::DebugMessages, false, events(&[1, 0, 33, 0], 1), events(&[1, 0, 34, 0], 1)),
         (Query::DebugMessages, false, events(&[1, 4, 5, 0], 1), events(&[1, 4, 6, 0], 1)),
+        (Query::DebugMessages, false, events(&[1, 6, 3, 0], 1), events(&[1, 6, 4, 0], 1)),
+        (Query::SetTimeControl, true, [&[1; 6][..], &[2, 255]].concat(), [&[1; 6][..], &[3, 255]].concat()),
         (Query::LinkInfo, false, link("ff ff ff ff 0f"), link("ff ff ff ff 1f")),
         (Query::SetDebugVerbosity, true, vec![3], vec![4]),
-        (Query::SetTimeControl, true, vec![1; 6], [vec![1; 5], vec![255; 5]].concat()),
+        (Query::SetTimeControl, true, vec![1; 8], [vec![1; 5], vec![255; 5], vec![1; 2]].concat()),
         (Query::Counters, false, counters(16), counters(17)),
     ] {
         for (body, whole) in [(fits, true), (does_not, false)] {
@@ -410,6 +465,28 @@ proptest! {
         body.extend(extra.then_some(0));
         let whole = show(&mut Pen::new(Part::Packet, &body), 0, shapes::ANNOUNCEMENT) == Shown::Whole;
         prop_assert_eq!(whole && body[0] == 1, Announcement::decode(&body).is_ok(), "{:02x?}", body);
+    }
+
+    /// The same for messages about time; what is read has the version, the flags and the tier that there are.
+    #[test]
+    fn messages_about_time_are_read_alike(
+        is_reply in any::<bool>(),
+        change in any::<prop::sample::Index>(),
+        value in any::<u8>(),
+        cut in 0usize..2,
+        extra in any::<bool>(),
+    ) {
+        let mut body = vec![0; if is_reply { TimeReply::LEN } else { TimeRequest::LEN }];
+        body[0] = 1;
+        let at = change.index(body.len());
+        body[at] = value;
+        body.truncate(body.len() - cut);
+        body.extend(extra.then_some(0));
+        let mut packet = parse_hex("06 ff ff 80 00 41").unwrap();
+        packet.push(u8::from(is_reply));
+        packet.extend(&body);
+        let is_read = if is_reply { TimeReply::decode(&body).is_ok() } else { TimeRequest::decode(&body).is_ok() };
+        prop_assert_eq!(explain(&packet, Options::Packet).problems.is_empty(), is_read, "{:02x?}", body);
     }
 
     /// Whether a packet is dropped at once is what the node's own check says.

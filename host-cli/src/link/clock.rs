@@ -13,6 +13,11 @@
 use fixed_math::time::{LocalTicks, Span};
 use std::time::{Duration, Instant};
 
+/// Readings from which the tick is known; some tens of microseconds.
+const TICK_READINGS: u32 = 1_000;
+/// What a clock is taken for that stood still over all of them: the coarsest that systems have.
+const COARSE_TICK: Span = Span::from_us(20_000);
+
 /// A monotonic counter that starts at zero when it is made.
 #[derive(Clone, Debug)]
 pub struct Clock {
@@ -30,6 +35,22 @@ impl Clock {
     #[must_use]
     pub fn now(&self) -> LocalTicks {
         LocalTicks::ZERO + span_of(self.origin.elapsed())
+    }
+
+    /// Its tick: the least that two of its readings were seen to differ by, which is no less than what they are rounded to.
+    #[must_use]
+    pub fn tick(&self) -> Span {
+        let mut least = None;
+        let mut last = self.now();
+        for _ in 0..TICK_READINGS {
+            let now = self.now();
+            if now > last {
+                let step = now.since(last);
+                least = Some(least.map_or(step, |least: Span| least.min(step)));
+            }
+            last = now;
+        }
+        least.unwrap_or(COARSE_TICK)
     }
 
     /// How long until `at`; zero where it is past.
@@ -64,6 +85,12 @@ mod tests {
     fn a_microsecond_is_256_steps_both_ways() {
         assert_eq!(span_of(Duration::from_micros(3)), Span::from_us(3));
         assert_eq!(duration_of(Span::from_us(3)), Duration::from_micros(3));
+    }
+
+    #[test]
+    fn a_tick_is_something_and_no_more_than_what_a_coarse_system_has() {
+        let tick = Clock::new().tick();
+        assert!(tick > Span::ZERO && tick <= COARSE_TICK, "{tick:?}");
     }
 
     /// One step is 3.90625 ns: down to whole steps, up to whole nanoseconds.

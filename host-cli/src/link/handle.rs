@@ -3,7 +3,7 @@
 //! - **Walk:** a link's threads → [`LinkEvent`] through one bounded channel → the node's thread → [`LinkHandle::send`] → the link's writer.
 //! - **Invariants:** `send` never waits, since the node's thread is also the one that empties the events' channel. Whatever is
 //!   handed over ends in one `Sent` or, where it could not leave, in one `Dropped`.
-//! - **Clauses:** `[LNK-01]` one packet when clear to send, `[LNK-02]` description.
+//! - **Clauses:** `[LNK-01]` one packet when clear to send, `[LNK-02]` description, `[TIM-03]` stamps of departures.
 
 use fixed_math::time::LocalTicks;
 use osap_protocol::DropCause;
@@ -78,14 +78,14 @@ pub struct LinkFaults {
 pub struct LinkHandle {
     /// What it is.
     pub description: LinkDescription,
-    outbox: Option<SyncSender<Vec<u8>>>,
+    outbox: Option<SyncSender<Parcel>>,
     shared: Arc<Shared>,
     threads: Vec<JoinHandle<()>>,
 }
 
 impl LinkHandle {
     /// A handle whose threads are still to be started, and what they are started with.
-    pub(super) fn new(description: LinkDescription) -> (Self, Receiver<Vec<u8>>, Arc<Shared>) {
+    pub(super) fn new(description: LinkDescription) -> (Self, Receiver<Parcel>, Arc<Shared>) {
         let (outbox, packets) = sync_channel(OUTBOX_PACKETS);
         let shared = Arc::new(Shared::default());
         let handle = Self { description, outbox: Some(outbox), shared: Arc::clone(&shared), threads: Vec::new() };
@@ -103,8 +103,20 @@ impl LinkHandle {
     /// # Errors
     /// [`LinkGone`] where the link has ended for good.
     pub fn send(&self, packet: Vec<u8>) -> Result<(), LinkGone> {
+        self.hand_over(Parcel { packet, is_stamped: false })
+    }
+
+    /// As [`LinkHandle::send`], of a packet that ends in a stamp slot: the link writes there when it leaves, `[TIM-03]`.
+    ///
+    /// # Errors
+    /// [`LinkGone`] where the link has ended for good.
+    pub fn send_stamped(&self, packet: Vec<u8>) -> Result<(), LinkGone> {
+        self.hand_over(Parcel { packet, is_stamped: true })
+    }
+
+    fn hand_over(&self, parcel: Parcel) -> Result<(), LinkGone> {
         let outbox = self.outbox.as_ref().ok_or(LinkGone)?;
-        match outbox.try_send(packet) {
+        match outbox.try_send(parcel) {
             Ok(()) => Ok(()),
             Err(TrySendError::Full(_)) => {
                 self.shared.refused.fetch_add(1, Ordering::Relaxed);
@@ -130,6 +142,14 @@ impl Drop for LinkHandle {
             let _ = thread.join();
         }
     }
+}
+
+/// A packet on its way to the writer.
+#[derive(Debug)]
+pub(super) struct Parcel {
+    pub(super) packet: Vec<u8>,
+    /// It ends in a stamp slot.
+    pub(super) is_stamped: bool,
 }
 
 /// What a handle and its threads have in common.

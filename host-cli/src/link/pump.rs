@@ -4,15 +4,17 @@
 //!   **Walk out:** outbox → frame → fault layer → [`Sink`] → [`LinkEvent::Sent`].
 //! - **Invariants:** for the node's thread events come as `Up`, then any number of `Sent`, then `Down`: each is sent under the lock
 //!   of [`Current`]. A full events' channel makes both threads wait. No wait is longer than [`WAIT_MAX`] without a look at the stop flag.
+//!   A departure's stamp is read before its first byte leaves, however long that then takes.
 //! - **Context:** in real time a fault layer is as exact as the system's timers: some milliseconds late on a socket.
-//! - **Clauses:** `[LNK-01]`, `[LNK-06]` opening again, `[LNK-07]` faults, `[FRM-06]`, `[FRM-07]`, `[FRM-08]`.
+//! - **Clauses:** `[LNK-01]`, `[LNK-06]` opening again, `[LNK-07]` faults, `[FRM-06]`, `[FRM-07]`, `[FRM-08]`, `[TIM-03]` departures.
 
-use super::handle::{LinkFaults, Shared};
+use super::handle::{LinkFaults, Parcel, Shared};
 use super::{Clock, LinkDescription, LinkError, LinkEvent, LinkHandle, LinkOptions, MTU_BYTES_MAX};
 use fixed_math::time::LocalTicks;
 use osap_protocol::DropCause;
 use osap_protocol::address::GatewayIndex;
 use osap_protocol::framing::{self, Check, Deframer};
+use osap_protocol::time::stamp;
 use osap_sim::faults::FaultLayer;
 use std::collections::VecDeque;
 use std::io;
@@ -367,7 +369,7 @@ impl Reader {
 struct Writer {
     events: Events,
     between: Arc<Between>,
-    outbox: Receiver<Vec<u8>>,
+    outbox: Receiver<Parcel>,
     form: Form,
     mtu: usize,
     clock: Clock,
@@ -387,7 +389,7 @@ impl Writer {
             Some(at) => self.outbox.recv_timeout(self.clock.until(at)),
         };
         match received {
-            Ok(packet) => self.take(&packet)?,
+            Ok(parcel) => self.take(parcel)?,
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => return Err(Ended),
         }
@@ -404,15 +406,20 @@ impl Writer {
         [owed, inside].into_iter().flatten().min()
     }
 
-    fn take(&mut self, packet: &[u8]) -> Result<(), Ended> {
+    fn take(&mut self, parcel: Parcel) -> Result<(), Ended> {
+        let Parcel { mut packet, is_stamped } = parcel;
         let number = self.between.current().number;
         if packet.len() > self.mtu {
             self.events.emit(LinkEvent::Dropped(DropCause::OverMtu))?;
             return self.sent(number);
         }
+        if is_stamped {
+            // read before the byte leaves, so that what holds this thread up from here on only lengthens the round trip
+            stamp(&mut packet, self.clock.now());
+        }
         let frame = match self.form {
-            Form::Whole => packet.to_vec(),
-            Form::Stuffed(check) => stuffed(packet, check),
+            Form::Whole => packet,
+            Form::Stuffed(check) => stuffed(&packet, check),
         };
         let Some(layer) = &mut self.faults else {
             return if self.write(&frame)? { self.sent(number) } else { Ok(()) };

@@ -19,9 +19,9 @@ use crate::error::NetworkError;
 use fixed_math::time::{LocalTicks, Span};
 use osap_protocol::discovery::{GatewayKind, LinkInfo, UniqueId};
 use osap_protocol::{GatewayIndex, RouteBuf};
-use osap_runtime::SendError;
 use osap_runtime::segmented::MessageError;
 use osap_runtime::sequenced::{Destination, Expect, RequestError, Ticket};
+use osap_runtime::{SendError, SystemTime};
 use std::sync::mpsc::sync_channel;
 
 /// Looks at the core and says whether it has seen what it waits for.
@@ -127,6 +127,14 @@ pub trait Network {
     /// [`NetworkError::Stopped`].
     fn statistics(&mut self) -> Result<Statistics, NetworkError> {
         at_once(self, |core, _| Some(core.statistics()))?.ok_or(NetworkError::Stopped)
+    }
+
+    /// System time at `at` by the host's clock, as the host has it.
+    ///
+    /// # Errors
+    /// [`NetworkError::Stopped`].
+    fn system_time(&mut self, at: LocalTicks) -> Result<SystemTime, NetworkError> {
+        at_once(self, move |core, _| Some(core.system_time(at)))?.ok_or(NetworkError::Stopped)
     }
 
     /// Sends a datagram from the host's stream port.

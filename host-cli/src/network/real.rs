@@ -5,7 +5,7 @@
 //! - **Invariants:** bounded channels only. The node's thread waits for nothing but the next event or the core's next wake, never
 //!   longer and never in a loop. Dropping the network ends and joins all threads.
 //! - **Context:** the calls are the caller's thread's; `Runner` is the node's.
-//! - **Clauses:** `[LNK-01]`, `[NOD-12]`.
+//! - **Clauses:** `[LNK-01]`, `[NOD-12]`, `[TIM-03]`, `[TIM-14]`.
 
 use super::capture::LinkCapture;
 use super::{Network, Task};
@@ -22,6 +22,7 @@ use osap_sim::capture::Direction;
 use osap_sim::endpoint::Endpoint;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TryRecvError, sync_channel};
 use std::thread::JoinHandle;
+use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Events of links that wait for the node's thread; beyond that the links' readers wait, and then the peers.
 const EVENTS_MAX: usize = 256;
@@ -29,6 +30,8 @@ const EVENTS_MAX: usize = 256;
 const EVENTS_A_RUN: usize = 32;
 /// The least that is waited for where something is due already that only an event can set going.
 const PATIENCE: Span = Span::from_us(1_000);
+/// Between two offers of UNIX time, which computers correct by and by.
+const UNIX_INTERVAL: Span = Span::from_us(1_000_000);
 /// The longest wait: `recv_timeout` takes no "for ever".
 const WAIT_MAX: Span = Span::from_us(60_000_000);
 /// A gateway that no link has. An event from it says nothing but that a job waits.
@@ -61,6 +64,9 @@ impl RealNetwork {
     pub fn open(specs: &[LinkSpec], options: &OpenOptions) -> Result<Self, OpenError> {
         let clock = Clock::new();
         let mut opening = Opening::new(clock, &host_identity(options.name.as_deref()));
+        if let Some(priority) = options.root {
+            opening.core.set_root(priority);
+        }
         opening.capture = options.capture.as_deref().map(LinkCapture::create).transpose()?;
         for spec in specs {
             opening.add(spec.to_string(), |gateway, events, clock| {
@@ -127,6 +133,8 @@ impl Drop for RealNetwork {
 /// A network whose links are being started.
 struct Opening {
     clock: Clock,
+    /// Of that clock.
+    tick: Span,
     core: HostCore,
     handles: Vec<LinkHandle>,
     names: Vec<String>,
@@ -139,7 +147,8 @@ impl Opening {
     fn new(clock: Clock, identity: &HostIdentity) -> Self {
         let (events, inbox) = sync_channel(EVENTS_MAX);
         let core = HostCore::new(identity);
-        Self { clock, core, handles: Vec::new(), names: Vec::new(), events, inbox, capture: None }
+        let tick = clock.tick();
+        Self { clock, tick, core, handles: Vec::new(), names: Vec::new(), events, inbox, capture: None }
     }
 
     fn add(
@@ -151,7 +160,8 @@ impl Opening {
         let too_many = || OpenError::TooManyLinks { given: number + 1, limit: LINKS_MAX };
         let index = u8::try_from(number).ok().and_then(GatewayIndex::new).ok_or_else(too_many)?;
         let handle = open(index, self.events.clone(), &self.clock)?;
-        self.core.add_link(config_of(&handle.description)).ok_or_else(too_many)?;
+        let stamps = Stamps { tick: self.tick, wire: Span::ZERO, late: Span::ZERO };
+        self.core.add_link(config_of(&handle.description, stamps)).ok_or_else(too_many)?;
         if let Some(capture) = &self.capture {
             capture.add(&name, handle.description.bit_rate);
         }
@@ -161,7 +171,7 @@ impl Opening {
     }
 
     fn start(self) -> Result<RealNetwork, OpenError> {
-        let Self { clock, core, handles, names, events, inbox, capture } = self;
+        let Self { clock, core, handles, names, events, inbox, capture, .. } = self;
         let (jobs, job_inbox) = sync_channel(1);
         let (done_sender, done) = sync_channel(1);
         let runner = Runner {
@@ -174,6 +184,7 @@ impl Opening {
             done: done_sender,
             job: None,
             capture: capture.clone(),
+            unix_at: LocalTicks::ZERO,
         };
         let thread = std::thread::Builder::new().name("osap-node".into()).spawn(move || runner.run());
         let thread = Some(thread.map_err(OpenError::Thread)?);
@@ -193,6 +204,8 @@ struct Runner {
     done: SyncSender<()>,
     job: Option<Job>,
     capture: Option<LinkCapture>,
+    /// When to offer UNIX time next.
+    unix_at: LocalTicks,
 }
 
 impl Runner {
@@ -200,6 +213,7 @@ impl Runner {
         while self.take_job() {
             let now = self.clock.now();
             self.core.run(now);
+            self.offer_unix(now);
             self.work_on_job(now);
             self.transmit();
             if !self.wait() {
@@ -235,6 +249,20 @@ impl Runner {
         }
     }
 
+    /// Tells the time of day now and then, `[TIM-14]`: the node wakes often enough for its exchanges.
+    fn offer_unix(&mut self, now: LocalTicks) {
+        if self.unix_at > now {
+            return;
+        }
+        let unix_us = SystemTime::now().duration_since(UNIX_EPOCH).map(|since| since.as_micros());
+        // a computer that believes it is before 1970 does not know the time
+        if let Ok(unix_us) = unix_us.map(|us| i64::try_from(us).unwrap_or(i64::MAX))
+            && self.core.offer_unix(unix_us, now)
+        {
+            self.unix_at = now + UNIX_INTERVAL;
+        }
+    }
+
     /// Gives each link that is clear to send its next packet, `[LNK-01]`.
     fn transmit(&mut self) {
         for (number, handle) in self.handles.iter().enumerate() {
@@ -250,7 +278,8 @@ impl Runner {
                 capture.packet(number, now, Direction::Sent, &packet);
             }
             self.clear[number] = false;
-            if let Err(gone) = handle.send(packet) {
+            let sent = if outgoing.is_stamped { handle.send_stamped(packet) } else { handle.send(packet) };
+            if let Err(gone) = sent {
                 self.core.set_link(gateway, Some(gone.to_string()), now);
             }
         }
@@ -301,7 +330,7 @@ impl Runner {
 }
 
 /// A link as the node's gateway.
-fn config_of(description: &LinkDescription) -> GatewayConfig {
+fn config_of(description: &LinkDescription, stamps: Stamps) -> GatewayConfig {
     // kinds that links of this crate have; the node keeps its names in static memory
     let known = ["usb-cdc", "serial", "tcp", "udp", "pty", "in-process"];
     GatewayConfig {
@@ -312,6 +341,6 @@ fn config_of(description: &LinkDescription) -> GatewayConfig {
         bits_a_byte: description.bits_a_byte,
         check: description.check,
         packet_hold_max: 0, // the core says what its links may hold
-        stamps: Stamps::SOFTWARE,
+        stamps,
     }
 }

@@ -72,6 +72,11 @@ impl SimNetwork {
             SimKind::Bus { devices } => Self::bus(devices, model, seed),
             SimKind::Random { devices, extra_links } => Self::network(devices, extra_links, model, seed),
         };
+        if let Some(priority) = options.root
+            && let Some(core) = network.world.endpoint_mut::<HostCore>(network.host)
+        {
+            core.set_root(priority);
+        }
         if let Some(path) = &options.capture {
             network.capture(LinkCapture::create(path)?);
         }

@@ -6,11 +6,11 @@
 use super::Session;
 use crate::core::Reply;
 use crate::error::{AskError, Place};
-use fixed_math::time::Span;
+use fixed_math::time::{LocalTicks, Span};
 use osap_protocol::DropCause;
 use osap_protocol::discovery::{
-    self, BODY_BYTES_MAX, CounterPage, DebugEvent, DebugPage, LinkInfo, Name, PortInfo, Query, Refusal, RuntimeInfo,
-    ScanId, TimeAsymmetry, TimeControl, TimeLink, TimeSettings, TimeStatus, Verbosity,
+    self, BODY_BYTES_MAX, ClockMark, CounterPage, DebugEvent, DebugPage, LinkInfo, Name, PortInfo, Query, Refusal,
+    RuntimeInfo, ScanId, TimeAsymmetry, TimeControl, TimeLink, TimeSettings, TimeStatus, Verbosity,
 };
 use osap_runtime::sequenced::Destination;
 use serde::de::DeserializeOwned;
@@ -20,7 +20,9 @@ use serde::de::DeserializeOwned;
 pub struct Answer<A> {
     /// What was asked for.
     pub value: A,
-    /// From the last time the question was sent to the end of the answer.
+    /// When the answer ended, by the host's clock.
+    pub arrived: LocalTicks,
+    /// From the last time the question was sent to then.
     pub round_trip: Span,
     /// How often it was sent.
     pub tries: u8,
@@ -37,6 +39,8 @@ pub struct DebugLog {
     pub missed: u32,
     /// What the device writes down at present.
     pub verbosity: Verbosity,
+    /// System time against the device's own clock, as of the last page; `None` where it has none, `[TIM-15]`.
+    pub clock: Option<ClockMark>,
     /// The events, oldest first.
     pub events: Vec<DebugEvent>,
 }
@@ -115,7 +119,14 @@ impl Session {
     pub fn debug_log(&mut self, to: &Destination, cursor: u32) -> Result<DebugLog, AskError> {
         let mut page = self.ask::<_, DebugPage>(to, Query::DebugMessages, &cursor)?.value;
         let (first, end) = (page.first, page.end);
-        let mut log = DebugLog { first, next: first, missed: 0, verbosity: page.verbosity, events: Vec::new() };
+        let mut log = DebugLog {
+            first,
+            next: first,
+            missed: 0,
+            verbosity: page.verbosity,
+            clock: page.clock,
+            events: Vec::new(),
+        };
         // numbers wrap: what counts is how far they are from the first
         let place = |number: u32| number.wrapping_sub(first);
         for _ in 0..PAGES_MAX {
@@ -128,6 +139,7 @@ impl Session {
                 break;
             }
             page = self.ask::<_, DebugPage>(to, Query::DebugMessages, &log.next)?.value;
+            log.clock = page.clock;
         }
         Ok(log)
     }
@@ -225,7 +237,7 @@ pub(super) fn read_answer<A: DeserializeOwned>(
 ) -> Result<Answer<A>, AskError> {
     let message = discovery::decode(&reply.payload).ok().filter(|message| message.key == query.key());
     match message.and_then(|message| message.body.read::<A>().ok()) {
-        Some(value) => Ok(Answer { value, round_trip: reply.round_trip, tries: reply.tries }),
+        Some(value) => Ok(Answer { value, arrived: reply.arrived, round_trip: reply.round_trip, tries: reply.tries }),
         None => Err(AskError::Malformed { place: place(), what: query.name(), len: reply.payload.len() }),
     }
 }
