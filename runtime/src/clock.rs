@@ -204,6 +204,12 @@ impl Clock {
         self.tier
     }
 
+    /// Whose time it is, itself where it follows nobody.
+    #[must_use]
+    pub const fn root(&self) -> Root {
+        self.root
+    }
+
     /// Says whether something runs by system time now, so that it may not be stepped, `[TIM-10]`.
     pub const fn set_live(&mut self, is_live: bool) {
         self.is_live = is_live;
