@@ -252,7 +252,7 @@ impl Rate {
         let rate = self.bits() as i64;
         // in two parts, so that no product is longer than 64 bits
         let (high, low) = (steps >> 31, steps & 0x7fff_ffff);
-        (high * rate).saturating_add((low * rate) >> 31) >> 1
+        high.saturating_mul(rate).saturating_add((low * rate) >> 31) >> 1
     }
 }
 
@@ -296,6 +296,8 @@ mod tests {
         let expected = i64::try_from((i128::from(year) * i128::from(fifty.bits())) >> 32).unwrap();
         assert!(fifty.over(year).abs_diff(expected) <= 1);
         assert_eq!(Rate::from_ppb(i32::MAX), Rate::from_bits(i32::MAX));
+        // the one product that does not fit
+        assert_eq!(Rate::from_bits(i32::MIN).over(i64::MIN), i64::MAX >> 1);
         assert_eq!(Rate::from_ppb(-40).within(Rate::from_ppb(10)), Rate::from_bits(-Rate::from_ppb(10).bits()));
     }
 

@@ -11,6 +11,9 @@ use super::wide::{Reciprocal, mul_shift};
 
 /// Largest entry of the diagonal, 2^25 µs² (5.8 ms, one sigma): two of them still add up in 63 bits.
 pub(super) const CAP: i64 = 1 << 61;
+/// Largest growth of the offset's variance between two measurements, 2^20 µs² (1 ms, one sigma): with more, what was known of the offset
+/// says nothing, and the two make a slope.
+const GROWTH_MAX: i64 = 1 << 56;
 /// Smallest variance of the offset, (1/256 µs)²: the step of what is published.
 const OFFSET_FLOOR: i64 = 1 << 20;
 /// Smallest variance of the skew, (0.93 ppb)²: below it rounding of the products above takes over.
@@ -49,7 +52,7 @@ impl Covariance {
     }
 
     /// `steps` later, which are not negative, the skew having walked by `agility` (µs² in Q36 a unit of time): Q = A·[[T³/3, T²/2], [T²/2, T]].
-    /// `None` past [`CAP`]. Five products.
+    /// `None` past [`GROWTH_MAX`]. Five products.
     pub(super) const fn after(self, steps: i64, agility: i64) -> Option<Self> {
         let walked = mul_shift(agility, steps, TIME_FRACTION);
         let walked_twice = mul_shift(walked, steps, TIME_FRACTION + 1);
@@ -57,10 +60,11 @@ impl Covariance {
         // two thirds: T³/3 is T times two thirds of T²/2
         let inner =
             self.both.saturating_mul(2).saturating_add(turned).saturating_add(mul_shift(walked_twice, 43_691, 16));
-        let offset = self.offset.saturating_add(mul_shift(inner, steps, TIME_FRACTION));
+        let growth = mul_shift(inner, steps, TIME_FRACTION);
+        let offset = self.offset.saturating_add(growth);
         let both = self.both.saturating_add(turned).saturating_add(walked_twice);
         let skew = self.skew.saturating_add(walked);
-        if offset > CAP || skew > CAP {
+        if growth > GROWTH_MAX || offset > CAP || skew > CAP {
             return None;
         }
         Some(Self { offset: within(offset, OFFSET_FLOOR), both, skew: within(skew, SKEW_FLOOR) })
@@ -80,6 +84,12 @@ impl Covariance {
             both: mul_shift(noise, gains.skew, GAIN_FRACTION),
             skew: within(skew, SKEW_FLOOR),
         }
+    }
+
+    /// What is added to the skew where the offset is known to be `surprise` off, from elsewhere. Two products and a division.
+    pub(super) const fn skew_for(self, surprise: i64) -> i64 {
+        let gain = Reciprocal::of(self.offset).times(self.both, GAIN_FRACTION);
+        mul_shift(surprise, gain, GAIN_FRACTION)
     }
 
     /// After two measurements so far apart that the skew between them is their slope: what [`Covariance::after`] and

@@ -62,6 +62,11 @@ impl Interval {
         (both.lowest <= both.highest).then_some(both)
     }
 
+    /// From end to end; what is over 2^30 steps, 4 s, counts as that.
+    fn width(self) -> i64 {
+        self.highest.saturating_sub(self.lowest).min(1 << 30)
+    }
+
     /// The nearest there is to `value`.
     fn nearest(self, value: i64) -> i64 {
         value.max(self.lowest).min(self.highest)
@@ -159,17 +164,29 @@ impl Certain {
         let since = self.reference.at.steps_after(self.older.at);
         let slope = self.slope(since)?.widened(i64::from(self.ramped(since).bits()) << 7, 0);
         self.rate = self.rate.widened(ramped, 0).and(slope)?.and(Interval::around(self.range))?;
-        let age = at.steps_after(self.newer.at);
-        let width = offset.highest.saturating_sub(offset.lowest);
-        // c·T²/2 > w/4: half the best age
-        if self.ramped(age).over(age) > width >> 1 {
-            self.older = self.newer;
-            self.newer = self.reference;
-        }
+        self.choose_anchors();
         let out = offset.nearest(0);
         self.reference.peer = peer.shifted(out);
         self.reference.offset = offset.widened(0, out);
         Some(out)
+    }
+
+    /// Keeps the anchors that say most of the rate: the older gives way when the newer is half of the best age, or when its slope is
+    /// already the narrower; the newer gives way to one of half its width.
+    fn choose_anchors(&mut self) {
+        let now = self.reference;
+        let width = now.offset.width();
+        let (age, since) = (now.at.steps_after(self.newer.at), now.at.steps_after(self.older.at));
+        // by which of two times, so that nothing is divided; ages are cut at 2^40 steps (72 min), so that no product is over 2^59
+        let long = |age: i64| age.clamp(0, 1 << 40) >> 12;
+        let older_slope = (self.older.offset.width() + width) * long(age);
+        let newer_slope = (self.newer.offset.width() + width) * long(since);
+        // c·T²/2 > w/4
+        if self.ramped(age).over(age) > width >> 1 || newer_slope < older_slope {
+            (self.older, self.newer) = (self.newer, now);
+        } else if width < self.newer.offset.width() >> 1 {
+            self.newer = now;
+        }
     }
 
     /// The nearest to `skew` that the rate can be, both in 2^−40; from there its uncertainty counts.

@@ -134,5 +134,5 @@ pub(super) const fn distance(steps: i64) -> i64 {
 
 /// What a bound gains over `away` steps, rounded up; a negative drift, which a peer may send, gains nothing.
 pub(super) const fn grown(drift: Rate, away: i64) -> u64 {
-    if drift.bits() <= 0 { 0 } else { drift.over(away).saturating_add(1).cast_unsigned() }
+    if drift.bits() <= 0 || away == 0 { 0 } else { drift.over(away).saturating_add(1).cast_unsigned() }
 }

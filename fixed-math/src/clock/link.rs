@@ -34,7 +34,7 @@ const AGILITY: i64 = 17_400;
 /// How far that is doubled, and halved: a crystal in a draught against an RC oscillator, and one in a box.
 const AGILITY_LOG2: core::ops::RangeInclusive<i8> = -4..=14;
 /// Agreeing signs of successive surprises, less those that do not agree, at which the skew is taken to walk faster, or slower.
-const LEAN_MAX: i8 = 8;
+const LEAN_MAX: i8 = 12;
 /// Exchanges until the shortest round trip is believed to be one without delays: none of 32 is with a probability of 0.76^32, 1 in 6500,
 /// where 30 % of stamps are delayed.
 const SETTLED: u32 = 32;
@@ -359,22 +359,21 @@ impl LinkClock {
     /// Time passes, and the surprise is shared between offset and skew; `None` where it is too large, and nothing has changed then.
     fn filter(&mut self, steps: i64, moved: i64, surprise: i64, measured: &Measured) -> Option<()> {
         let noise = self.noise_of(self.excess(measured.round_trip));
-        let (agility, square) = (self.agility(), square_q36(surprise));
+        let agility = self.agility();
         let (offset, skew) = if let Some(later) = self.covariance.after(steps, agility) {
-            let (sum, square) = (later.offset + noise, square?);
-            if square >> GATE_LOG2 > sum {
+            self.tune(surprise);
+            if is_beyond(surprise, later.offset + noise) {
                 return None;
             }
             let gains: Gains = later.gains(noise);
             self.covariance = later.measured(noise, gains);
-            self.tune(surprise);
             gains.of(surprise)
         } else {
             // so far from the last that the two make a slope, and what was known of offset says nothing
             let over = Reciprocal::of(steps);
             let slope = over.times(surprise, 24);
             let known = self.covariance.skew.saturating_add(mul_shift(agility, steps, 24));
-            if square_q36(slope)? >> GATE_LOG2 > known {
+            if is_beyond(slope, known) {
                 return None;
             }
             self.covariance = Covariance::of_slope(self.covariance.offset, noise, over, steps, agility);
@@ -417,10 +416,13 @@ impl LinkClock {
         (self.peer, self.above) = (peer, above);
     }
 
-    /// Moves an estimate outside what is certain to its border.
+    /// Moves an estimate outside what is certain to its border, and the skew by what that means for it: what is wrong with the offset
+    /// mostly came of the skew since the last exchange that said much.
     fn shift(&mut self, out: i64) {
         if out != 0 {
             self.settle(self.peer.shifted(out), 0);
+            self.skew =
+                self.skew.saturating_add(self.covariance.skew_for(out.clamp(-OFFSET_MAX, OFFSET_MAX) << BELOW_STEP));
         }
     }
 
@@ -500,7 +502,7 @@ const fn agility_at_first(ramp: Rate) -> i8 {
     let times = ramp.bits().unsigned_abs() / LinkTraits::CRYSTAL.ramp.bits().unsigned_abs();
     // a logarithm of 32 bits
     #[expect(clippy::cast_possible_truncation, reason = "at most 15")]
-    let doubled = if times == 0 { 0 } else { (times.ilog2() / 2) as i8 };
+    let doubled = if times == 0 { 0 } else { times.ilog2() as i8 };
     if doubled > *AGILITY_LOG2.end() { *AGILITY_LOG2.end() } else { doubled }
 }
 
@@ -508,6 +510,15 @@ const fn agility_at_first(ramp: Rate) -> i8 {
 fn square_q36(value: i64) -> Option<i64> {
     let value = value >> 6;
     (distance(value) < 1 << 31).then(|| value * value)
+}
+
+/// Whether the square of `surprise` (µs in Q24) is 2^[`GATE_LOG2`] times `variance` (µs² in Q36), or more.
+fn is_beyond(surprise: i64, variance: i64) -> bool {
+    match square_q36(surprise) {
+        Some(square) => square >> GATE_LOG2 > variance,
+        // coarser, up to two seconds
+        None => square_q36(surprise >> 8).is_none_or(|square| square >> GATE_LOG2 > variance >> 16),
+    }
 }
 
 /// At most `most`, which is below 2^63.

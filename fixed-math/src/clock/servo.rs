@@ -118,6 +118,9 @@ impl Servo for Oldest {
 #[must_use]
 pub fn ewma(filtered: i64, new: i64, weight_q16: i32) -> i64 {
     let weight = i64::from(weight_q16.clamp(0, 1 << 16));
+    if weight == 1 << 16 {
+        return new;
+    }
     let distance = new.saturating_sub(filtered);
     let part = match distance.checked_mul(weight) {
         Some(product) if product < 0 => product.div_euclid(1 << 16),

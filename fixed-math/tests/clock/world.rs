@@ -1,21 +1,58 @@
 //! Two counters and a wire between them, in floating point: the truth that the estimator is compared with.
 //!
-//! True time is in µs from the start. The own counter is the one whose rate is constant; the peer's may ramp. Stamps are rounded down to
-//! a microsecond, and the origins are whole microseconds, so that rounding falls where it would in a device.
+//! True time is in µs from the start. Stamps are rounded down to a microsecond, and the origins are whole microseconds, so that rounding
+//! falls where it would in a device.
 
 use fixed_math::clock::{Exchange, Fault, LinkClock};
 use fixed_math::time::{LocalTicks, PeerTicks, Span};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
+/// A free-running counter.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Counter {
+    /// Against true time.
+    pub(crate) rate: f64,
+    /// What the rate gains a second.
+    pub(crate) ramp_per_s: f64,
+    /// What it reads at the start.
+    pub(crate) origin_us: u64,
+}
+
+impl Counter {
+    /// Within 50 ppm, and any origin.
+    pub(crate) fn crystal(random: &mut Pcg32) -> Self {
+        Self { rate: random.random_range(-50e-6..50e-6), ramp_per_s: 0.0, origin_us: random.random_range(0..1 << 40) }
+    }
+
+    /// The reading at true time `at_us`, less the origin.
+    pub(crate) fn since_origin(&self, at_us: f64) -> f64 {
+        at_us * (1.0 + self.rate + 0.5e-6 * self.ramp_per_s * at_us)
+    }
+
+    /// When it reads `steps` after the origin.
+    pub(crate) fn time_of(&self, steps: u64) -> f64 {
+        let reading = steps as f64 / 256.0;
+        // the ramp's part is below 10⁻² of the whole, so that five rounds leave nothing
+        (0..5).fold(reading, |at, _| reading / (1.0 + self.rate + 0.5e-6 * self.ramp_per_s * at))
+    }
+
+    /// The stamp, in whole microseconds.
+    fn stamp(&self, at_us: f64) -> u64 {
+        self.origin_us + floor(self.since_origin(at_us))
+    }
+
+    /// The reading in steps of 1/256 µs, after the origin.
+    pub(crate) fn steps(&self, at_us: f64) -> u64 {
+        floor(self.since_origin(at_us) * 256.0)
+    }
+}
+
 /// What a run is made of.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Conditions {
-    /// Rates of the two counters against true time.
-    pub(crate) own_rate: f64,
-    pub(crate) peer_rate: f64,
-    /// What the peer's rate gains a second.
-    pub(crate) ramp_per_s: f64,
+    pub(crate) own: Counter,
+    pub(crate) peer: Counter,
     /// Part of all stamps that are delayed, and by how much on average (exponentially).
     pub(crate) delayed: f64,
     pub(crate) delay_us: f64,
@@ -24,9 +61,8 @@ pub(crate) struct Conditions {
     /// Time on the way, each way.
     pub(crate) there_us: f64,
     pub(crate) back_us: f64,
-    /// What the counters read at the start, µs.
-    pub(crate) own_origin_us: u64,
-    pub(crate) peer_origin_us: u64,
+    /// Whether requests leave whenever the own counter turns over, and are answered after the same time: nothing dithers then.
+    pub(crate) in_step: bool,
 }
 
 impl Conditions {
@@ -34,16 +70,14 @@ impl Conditions {
     pub(crate) fn issue(seed: u64) -> Self {
         let mut random = Pcg32::seed_from_u64(seed ^ 0x5eed);
         Self {
-            own_rate: random.random_range(-50e-6..50e-6),
-            peer_rate: random.random_range(-50e-6..50e-6),
-            ramp_per_s: 0.01e-6,
+            own: Counter::crystal(&mut random),
+            peer: Counter { ramp_per_s: 0.01e-6, ..Counter::crystal(&mut random) },
             delayed: 0.3,
             delay_us: 8.0,
             late_us: 0.0,
             there_us: 10.0 / 3.0,
             back_us: 10.0 / 3.0,
-            own_origin_us: random.random_range(0..1 << 40),
-            peer_origin_us: random.random_range(0..1 << 40),
+            in_step: false,
         }
     }
 }
@@ -58,16 +92,6 @@ pub(crate) struct World {
 impl World {
     pub(crate) fn new(conditions: Conditions, seed: u64) -> Self {
         Self { conditions, now_us: 0.0, random: Pcg32::seed_from_u64(seed) }
-    }
-
-    /// The own counter at true time `at_us`, less its origin.
-    fn own(&self, at_us: f64) -> f64 {
-        at_us * (1.0 + self.conditions.own_rate)
-    }
-
-    /// The peer's counter, less its origin.
-    fn peer(&self, at_us: f64) -> f64 {
-        at_us * (1.0 + self.conditions.peer_rate + 0.5e-6 * self.conditions.ramp_per_s * at_us)
     }
 
     /// Zero for most stamps.
@@ -88,24 +112,27 @@ impl World {
 
     /// One exchange from now on; time has passed afterwards.
     pub(crate) fn exchange(&mut self) -> Exchange {
-        let (sent, _, heard) = self.frame(self.now_us, self.conditions.there_us);
-        let turn = self.random.random_range(30.0..120.0);
-        let (answered, _, received) = self.frame(heard + turn, self.conditions.back_us);
+        let Conditions { own, peer, there_us, back_us, in_step, .. } = self.conditions;
+        let from = if in_step { own.time_of(floor(own.since_origin(self.now_us)) * 256) } else { self.now_us };
+        let (sent, _, heard) = self.frame(from, there_us);
+        let turn = if in_step { 64.0 } else { self.random.random_range(30.0..120.0) };
+        let (answered, _, received) = self.frame(heard + turn, back_us);
         self.now_us = received;
         Exchange {
-            sent: LocalTicks::from_us(self.conditions.own_origin_us + floor(self.own(sent))),
-            heard: PeerTicks::from_us(self.conditions.peer_origin_us + floor(self.peer(heard))),
-            answered: PeerTicks::from_us(self.conditions.peer_origin_us + floor(self.peer(answered))),
-            received: LocalTicks::from_us(self.conditions.own_origin_us + floor(self.own(received))),
+            sent: LocalTicks::from_us(own.stamp(sent)),
+            heard: PeerTicks::from_us(peer.stamp(heard)),
+            answered: PeerTicks::from_us(peer.stamp(answered)),
+            received: LocalTicks::from_us(own.stamp(received)),
         }
     }
 
     /// (error of `peer_at`, its bound, its sigma), µs, at the own reading that is nearest to true time `at_us`.
     pub(crate) fn error_us(&self, link: &LinkClock, at_us: f64) -> (f64, f64, f64) {
-        let reading = floor(self.own(at_us) * 256.0);
-        let local = LocalTicks::from_us(self.conditions.own_origin_us) + Span::from_steps(reading);
-        let truth = self.peer(reading as f64 / 256.0 / (1.0 + self.conditions.own_rate));
-        let found = link.peer_at(local).steps_after(PeerTicks::from_us(self.conditions.peer_origin_us));
+        let Conditions { own, peer, .. } = self.conditions;
+        let reading = own.steps(at_us);
+        let local = LocalTicks::from_us(own.origin_us) + Span::from_steps(reading);
+        let truth = peer.since_origin(own.time_of(reading));
+        let found = link.peer_at(local).steps_after(PeerTicks::from_us(peer.origin_us));
         (found as f64 / 256.0 - truth, us(link.bound_at(local)), us(link.error_at(local)))
     }
 }
@@ -134,21 +161,18 @@ pub(crate) struct Outcome {
     /// Bounds from `settled_us` on, their mean, µs.
     pub(crate) bound_us: f64,
     pub(crate) refused: u32,
+    pub(crate) contradictions: u32,
 }
 
 impl Outcome {
     pub(crate) fn rms_us(&self) -> f64 {
         (self.settled.iter().map(|error| error * error).sum::<f64>() / self.settled.len() as f64).sqrt()
     }
-
-    pub(crate) fn max_us(&self) -> f64 {
-        self.settled.iter().copied().fold(0.0, f64::max)
-    }
 }
 
-/// When the next exchange begins after the one that began `index` exchanges ago: the burst at join, then the slow pace.
-pub(crate) fn pace_us(index: u32) -> f64 {
-    if index < 64 { 5_000.0 } else { 50_000.0 }
+/// From the beginning of an exchange to that of the next: 5 ms for the `burst` at join, then 50 ms.
+pub(crate) fn pace_us(index: u32, burst: u32) -> f64 {
+    if index < burst { 5_000.0 } else { 50_000.0 }
 }
 
 /// Exchanges for `seconds`, looked at eight times between any two; what is in `Outcome::settled` is from `settled_s` on.
@@ -160,12 +184,12 @@ pub(crate) fn run(world: &mut World, link: &mut LinkClock, seconds: f64, settled
         let exchange = world.exchange();
         match link.observe(&exchange) {
             Ok(()) => {}
-            Err(Fault::Absurd) => outcome.refused += 1,
+            Err(Fault::Absurd | Fault::RoundTrip) => outcome.refused += 1,
             Err(other) => panic!("{other:?} for {exchange:?}"),
         }
         let from = world.now_us;
         // not in step with the exchanges, as a sender's own timers would be
-        next += pace_us(index) + world.random.random_range(0.0..7.0);
+        next += pace_us(index, 64) + world.random.random_range(0.0..7.0);
         for part in 0..8 {
             let at = from + (next - from) * f64::from(part) / 8.0;
             let (error, bound, sigma) = world.error_us(link, at);
@@ -188,6 +212,7 @@ pub(crate) fn run(world: &mut World, link: &mut LinkClock, seconds: f64, settled
             break;
         }
     }
+    outcome.contradictions = link.contradictions();
     outcome.sigmas = (outcome.sigmas / looks).sqrt();
     outcome.bound_us /= looks;
     outcome
