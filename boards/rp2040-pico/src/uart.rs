@@ -17,6 +17,7 @@ use core::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use firmware_app::Wire;
 use fixed_math::time::{LocalTicks, Span};
 use osap_protocol::framing::{Check, DELIMITER, encoded_len_max};
+use osap_runtime::Stamps;
 use rp2040_hal::pac;
 
 /// Bytes and stamps that a receiver's rings hold.
@@ -28,11 +29,12 @@ const FRAME_BYTES: usize = encoded_len_max(256, Check::Crc32);
 /// Routing is woken after so many bytes although no frame has ended, so that most of a frame is unstuffed and checked when it does. Each
 /// such turn takes about 700 cycles, and 60 more a byte, of the 3,300 in which the bytes come.
 const WAKE_BYTES: usize = 8;
-/// 1/256 µs a byte of ten bits takes, times 2^8.
-const BYTE_STEPS_Q8: u32 = ((10 * 256 * 256 * 1_000_000_u64) / UART_BAUD as u64) as u32;
+/// 1/256 µs a byte of ten bits takes at the rate that the divider makes, times 2^8, rounded up.
+const BYTE_STEPS_Q8: u32 =
+    ((10 * BIT_CYCLES_Q6 as u64 * (256 * 256 / 64)).div_ceil((CORE_HZ / 1_000_000) as u64)) as u32;
 
-/// What a stamp counts in: 1/16 µs, rounded down.
-pub const STAMP_UNIT: Span = Span::from_steps(16);
+/// How good the stamps of frames are: 1/16 µs, rounded down.
+pub const STAMPS: Stamps = Stamps { tick: Span::from_steps(16), wire: DEPARTURE_TO_ARRIVAL, late: Span::ZERO };
 /// From the reading of the sixteenths to the write of the first byte: what a load from a peripheral takes.
 const STAMP_TO_WRITE_CYCLES: u32 = 4;
 /// From the stamp of a departure to that of its arrival, where a wire without length joins two idle transmitters and receivers: 3.301 µs. It is
@@ -51,7 +53,7 @@ pub const ARRIVAL_LATE_MAX: Span = Span::from_steps((32 * 256 / (CORE_HZ / 1_000
 const BIT_CYCLES_Q6: u32 = (CORE_HZ * 4 + UART_BAUD / 2) / UART_BAUD * 16;
 
 /// A ring cannot be lapped in less: all its bytes on end, less one for good measure.
-const LAP_MIN: Span = Span::from_steps(((RING_BYTES as u64 - 1) * BYTE_STEPS_Q8 as u64) >> 8);
+const LAP_MIN: Span = Span::from_steps((RING_BYTES as u64 - 1) * 10 * 256 * 1_000_000 / UART_BAUD as u64);
 /// One byte on the wire.
 const BYTE: Span = Span::from_steps((BYTE_STEPS_Q8 >> 8) as u64 + 1);
 /// Bytes that a UART's transmitter holds.
@@ -86,22 +88,22 @@ mod ctrl {
 
 /// A stamp ring and a ring of bytes or of stamps' sixteenths, each aligned to its size as the DMA's wrapping demands.
 #[repr(align(2048))]
-struct Stamps(UnsafeCell<[u32; RING_BYTES]>);
+struct StampRing(UnsafeCell<[u32; RING_BYTES]>);
 #[repr(align(512))]
-struct Bytes(UnsafeCell<[u8; RING_BYTES]>);
+struct ByteRing(UnsafeCell<[u8; RING_BYTES]>);
 struct FrameRoom(UnsafeCell<[u8; FRAME_BYTES]>);
 
 // SAFETY: the DMA writes the rings and the processor reads, by volatile access or behind the DMA's position; a frame's room belongs to the
 // one `DmaUart` of its number
-unsafe impl Sync for Stamps {}
+unsafe impl Sync for StampRing {}
 // SAFETY: as above
-unsafe impl Sync for Bytes {}
+unsafe impl Sync for ByteRing {}
 // SAFETY: as above
 unsafe impl Sync for FrameRoom {}
 
-static RX_STAMP_BUFFER: [Stamps; 2] = [const { Stamps(UnsafeCell::new([0; RING_BYTES])) }; 2];
-static RX_SIXTEENTHS_BUFFER: [Bytes; 2] = [const { Bytes(UnsafeCell::new([0; RING_BYTES])) }; 2];
-static RX_BYTE_BUFFER: [Bytes; 2] = [const { Bytes(UnsafeCell::new([0; RING_BYTES])) }; 2];
+static RX_STAMP_BUFFER: [StampRing; 2] = [const { StampRing(UnsafeCell::new([0; RING_BYTES])) }; 2];
+static RX_SIXTEENTHS_BUFFER: [ByteRing; 2] = [const { ByteRing(UnsafeCell::new([0; RING_BYTES])) }; 2];
+static RX_BYTE_BUFFER: [ByteRing; 2] = [const { ByteRing(UnsafeCell::new([0; RING_BYTES])) }; 2];
 static TX_FRAME_BUFFER: [FrameRoom; 2] = [const { FrameRoom(UnsafeCell::new([0; FRAME_BYTES])) }; 2];
 /// Place up to which bytes were looked at: by the interrupt, or by routing while the interrupt is off.
 static RX_SEEN: [AtomicUsize; 2] = [const { AtomicUsize::new(0) }; 2];
@@ -280,31 +282,12 @@ impl DmaUart {
 
     /// Nothing is in the shift register, in the FIFO or on its way there.
     fn is_idle(&self) -> bool {
-        let dma_busy = dma().ch(CHANNELS[self.number].transmit).ch_al1_ctrl().read().bits() & ctrl::BUSY != 0;
-        !dma_busy && uart(self.number).uartfr().read().busy().bit_is_clear()
+        !self.is_sending() && uart(self.number).uartfr().read().busy().bit_is_clear()
     }
 
-    /// As [`Wire::send_head`], for a frame that says when it left: returns when the transmitter was given its first byte, which it puts on the
-    /// wire at once. `None` where it was not idle, or `len` is 0: then nothing has left, and the rest of the frame must not be sent either.
-    ///
-    /// Interrupts are masked from the look at the transmitter to the first byte.
-    #[must_use]
-    pub fn send_head_stamped(&mut self, len: usize) -> Option<LocalTicks> {
-        let uart = uart(self.number);
-        // SAFETY: as in `room`
-        let frame = unsafe { &*TX_FRAME_BUFFER[self.number].0.get() };
-        let head = &frame[..len.min(FIFO_BYTES)];
-        let (first, rest) = head.split_first()?;
-        if !self.is_idle() {
-            return None;
-        }
-        let stamp = send_first(uart, *first)?;
-        for byte in rest {
-            // SAFETY: any byte may be sent
-            uart.uartdr().write(|w| unsafe { w.data().bits(*byte) });
-        }
-        self.head = head.len();
-        Some(clock::at_stamp(stamp, clock::now()))
+    /// The DMA has still bytes of a frame to give to the UART.
+    fn is_sending(&self) -> bool {
+        dma().ch(CHANNELS[self.number].transmit).ch_al1_ctrl().read().bits() & ctrl::BUSY != 0
     }
 
     /// Place behind what has come: a byte is there once its stamp is.
@@ -349,8 +332,8 @@ impl Wire for DmaUart {
     }
 
     fn clear_at(&mut self, now: LocalTicks) -> Option<LocalTicks> {
-        let busy = dma().ch(CHANNELS[self.number].transmit).ch_al1_ctrl().read().bits() & ctrl::BUSY != 0;
-        (!busy).then(|| self.sent_at.max(now))
+        // what has left is not reckoned only: a frame with a stamp relies on it
+        (!self.is_sending()).then(|| self.idle_at(now))
     }
 
     fn room(&mut self) -> &mut [u8] {
@@ -370,6 +353,25 @@ impl Wire for DmaUart {
             // SAFETY: any byte may be sent
             uart.uartdr().write(|w| unsafe { w.data().bits(*byte) });
         }
+    }
+
+    /// The transmitter puts the first byte on the wire at once. Interrupts are masked from the look at the transmitter to that byte, 20 cycles.
+    fn send_head_stamped(&mut self, len: usize) -> Option<LocalTicks> {
+        let uart = uart(self.number);
+        // SAFETY: as in `room`
+        let frame = unsafe { &*TX_FRAME_BUFFER[self.number].0.get() };
+        let head = &frame[..len.min(FIFO_BYTES)];
+        let (first, rest) = head.split_first()?;
+        if !self.is_idle() {
+            return None;
+        }
+        let stamp = send_first(uart, *first)?;
+        for byte in rest {
+            // SAFETY: any byte may be sent
+            uart.uartdr().write(|w| unsafe { w.data().bits(*byte) });
+        }
+        self.head = head.len();
+        Some(clock::at_stamp(stamp, clock::now()))
     }
 
     fn send(&mut self, len: usize, at: LocalTicks) {

@@ -6,7 +6,7 @@
 
 use board_rp2040_pico::clock::{self, Alarm};
 use board_rp2040_pico::pac::{Interrupt, Peripherals};
-use board_rp2040_pico::uart::DmaUart;
+use board_rp2040_pico::uart::{self, DmaUart};
 use board_rp2040_pico::{Board, UART_BAUD};
 use core::sync::atomic::{AtomicBool, Ordering};
 use firmware_app::kind::{self, Kind};
@@ -15,7 +15,7 @@ use firmware_app::{Device, Link};
 use fixed_math::time::LocalTicks;
 use osap_protocol::discovery::{BuildKind, GatewayKind, Name, UniqueId};
 use osap_protocol::framing::Check;
-use osap_runtime::{GatewayConfig, Node};
+use osap_runtime::{GatewayConfig, Node, Stamps};
 
 /// Wakes routing.
 pub const ROUTE: Interrupt = Interrupt::SW0_IRQ;
@@ -67,6 +67,7 @@ const UART: GatewayConfig = GatewayConfig {
     bits_a_byte: 10,
     check: Check::Crc16,
     packet_hold_max: 6,
+    stamps: uart::STAMPS,
 };
 
 /// A UART's link.
@@ -99,6 +100,10 @@ impl Links<SLOTS, PACKET_BYTES, GATEWAYS, PORTS> for PicoLinks {
         self.uarts.transmit(node, now);
         #[cfg(feature = "usb")]
         self.usb.transmit(node, now);
+    }
+
+    fn next_wake(&self) -> Option<LocalTicks> {
+        Links::<SLOTS, PACKET_BYTES, GATEWAYS, PORTS>::next_wake(&self.uarts)
     }
 }
 
@@ -192,7 +197,8 @@ pub fn start(peripherals: Peripherals) -> Parts {
     let uarts = board.uarts.map(|uart| Link::new(uart, UART, &mut node).expect("a place for each UART"));
     #[cfg(feature = "usb")]
     let usb = {
-        let config = GatewayConfig { type_name: "usb-cdc", bit_rate: 0, bits_a_byte: 8, check: Check::None, ..UART };
+        let (check, stamps) = (Check::None, Stamps::SOFTWARE);
+        let config = GatewayConfig { type_name: "usb-cdc", bit_rate: 0, bits_a_byte: 8, check, stamps, ..UART };
         Link::new(board.usb.expect("asked for"), config, &mut node).expect("a place for USB")
     };
     let links = PicoLinks {
