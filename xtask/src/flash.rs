@@ -235,7 +235,14 @@ mod tests {
 
     fn image(load: Load) -> Image {
         let (name, package) = ("pico".to_owned(), "image-pico".to_owned());
-        Image { name, package, target: "t".to_owned(), load, features: std::collections::BTreeMap::new() }
+        Image {
+            name,
+            package,
+            target: "t".to_owned(),
+            load,
+            features: std::collections::BTreeMap::new(),
+            variants: Vec::new(),
+        }
     }
 
     fn said(load: Load, wanted: &Wanted, seen: &Seen) -> String {

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use crate::images::{Features, Image, Images, Load};
+use crate::images::{Image, Images, Load};
 use crate::run::{Error, Program, root, write};
 use crate::setup;
 
@@ -33,7 +33,7 @@ pub(crate) fn ready(images: &Images) -> Result<(), Error> {
     setup::programs_of(setup::HIL).complete()?;
     install_packages()?;
     for image in images.all().iter().filter(|image| is_emulated(image)) {
-        images.build(image, &Features::default())?;
+        images.build_with_variants(image)?;
     }
     Program::cargo(HOST_PROGRAM).run()
 }
@@ -97,6 +97,7 @@ mod tests {
             target: "t".to_owned(),
             load,
             features: std::collections::BTreeMap::new(),
+            variants: Vec::new(),
         };
         let chip = || "C".to_owned();
         assert!(is_emulated(&image(Load::Emulator)) && is_emulated(&image(Load::Uf2 { chip: chip() })));

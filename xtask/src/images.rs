@@ -8,6 +8,7 @@
 //! target = "thumbv7em-none-eabihf"    # what the compiler calls the processor
 //! load = "probe"                      # "probe", "uf2" (a drive over USB) or "emulator"
 //! chip = "STM32H743ZITx"              # probe-rs's name of the chip; none for an emulator
+//! variants = ["pace"]                 # features that emulators also run it with, one at a time; none where left out
 //! ```
 
 use std::collections::BTreeMap;
@@ -109,6 +110,8 @@ pub(crate) struct Image {
     pub(crate) load: Load,
     /// The features of the package, each with what it turns on.
     pub(crate) features: BTreeMap<String, Vec<String>>,
+    /// Features that emulators also run it with, one at a time, each in a file of its own: `NAME+FEATURE`.
+    pub(crate) variants: Vec<String>,
 }
 
 /// Which features an image is built with.
@@ -124,6 +127,11 @@ impl Features {
     /// Exactly these features.
     pub(crate) fn only(added: &[&str]) -> Self {
         Self { no_default: true, added: added.iter().map(|&feature| feature.to_owned()).collect() }
+    }
+
+    /// The default ones and this.
+    pub(crate) fn with(feature: &str) -> Self {
+        Self { no_default: false, added: vec![feature.to_owned()] }
     }
 
     fn arguments(&self) -> Vec<String> {
@@ -168,6 +176,8 @@ struct Table {
     target: String,
     #[serde(flatten)]
     load: Load,
+    #[serde(default)]
+    variants: Vec<String>,
 }
 
 impl Images {
@@ -228,6 +238,17 @@ impl Images {
         cargo.args(["--package", &image.package, "--target", &image.target]).args(features.arguments()).run()?;
         Ok(self.elf(image))
     }
+
+    /// Builds one image as it is, and its variants in files beside it.
+    pub(crate) fn build_with_variants(&self, image: &Image) -> Result<(), Error> {
+        for feature in &image.variants {
+            let built = self.build(image, &Features::with(feature))?;
+            let kept = built.with_file_name(format!("{}+{feature}", image.name));
+            std::fs::copy(&built, &kept).map_err(|source| Error::File { what: "write", path: kept, source })?;
+        }
+        // last, so that the file of the image's own name is the image as it is
+        self.build(image, &Features::default()).map(|_| ())
+    }
 }
 
 impl Image {
@@ -238,13 +259,15 @@ impl Image {
         }
         let table = package.metadata.and_then(|mut metadata| metadata.get_mut("image").map(serde_json::Value::take));
         let table = serde_json::from_value(table.unwrap_or_default());
-        let Table { target, load } = table.map_err(|source| ImageError::Table { name: name.clone(), source })?;
-        Ok(Self { name, package: package.name, target, load, features: package.features })
+        let Table { target, load, variants } =
+            table.map_err(|source| ImageError::Table { name: name.clone(), source })?;
+        Ok(Self { name, package: package.name, target, load, features: package.features, variants })
     }
 
     /// Clippy on this image with what it uses of ours, as it is and bare, warnings denied.
     pub(crate) fn lint(&self) -> Result<(), Error> {
-        for features in [Features::default(), Features::only(&[])] {
+        let variants = self.variants.iter().map(|feature| Features::with(feature));
+        for features in [Features::default(), Features::only(&[])].into_iter().chain(variants) {
             let cargo = self.toolchain()?.cargo("clippy --profile image");
             let cargo = cargo.args(["--package", &self.package, "--target", &self.target]).args(features.arguments());
             cargo.args(["--", "-D", "warnings"]).run()?;

@@ -391,7 +391,7 @@ no goal: the image has no feature `node` that could be left out to compare
         let mut features: std::collections::BTreeMap<_, _> = ["node", "usb", "debug"].map(own).into();
         features.insert("default".to_owned(), default.iter().map(|&name| name.to_owned()).collect());
         let (name, package) = ("a".to_owned(), "image-a".to_owned());
-        Image { name, package, target: "t".to_owned(), load: Load::Emulator, features }
+        Image { name, package, target: "t".to_owned(), load: Load::Emulator, features, variants: Vec::new() }
     }
 
     #[test]

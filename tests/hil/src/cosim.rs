@@ -99,6 +99,28 @@ pub struct WireFaults {
     pub byte_loss: f64,
 }
 
+/// Which instant of a chip's clock is asked for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ClockAt {
+    /// The present.
+    Now,
+    /// A global instant, ns with their fraction.
+    GlobalNs(f64),
+    /// What the chip's own clock reads, ns since its boot.
+    LocalNs(f64),
+}
+
+/// The truth about a chip's clock at one instant.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+pub struct ChipTime {
+    /// Global time, ns.
+    pub global_ns: f64,
+    /// The chip's own since its boot, ns: its microsecond timer with all its fraction.
+    pub local_ns: f64,
+    /// How much faster than global time it runs now, parts per million.
+    pub ppm: f64,
+}
+
 /// Something happened while the co-simulation ran.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
@@ -357,6 +379,28 @@ impl Cosim {
     /// [`CosimError`].
     pub fn reset(&mut self, chip: &str) -> Result<(), CosimError> {
         self.tell(&json!({ "cmd": "reset", "chip": chip }))
+    }
+
+    /// The truth about a chip's clock at an instant since its last boot.
+    ///
+    /// # Errors
+    /// [`CosimError`].
+    pub fn time(&mut self, chip: &str, at: ClockAt) -> Result<ChipTime, CosimError> {
+        let mut command = json!({ "cmd": "time", "chip": chip });
+        match at {
+            ClockAt::Now => {}
+            ClockAt::GlobalNs(ns) => command["at_ns"] = json!(ns),
+            ClockAt::LocalNs(ns) => command["local_ns"] = json!(ns),
+        }
+        self.ask(&command)
+    }
+
+    /// Has a chip's crystal run at `ppm`, and change by `ramp_ppm_per_s` from now on.
+    ///
+    /// # Errors
+    /// [`CosimError`].
+    pub fn crystal(&mut self, chip: &str, ppm: f64, ramp_ppm_per_s: f64) -> Result<(), CosimError> {
+        self.tell(&json!({ "cmd": "crystal", "chip": chip, "ppm": ppm, "ramp_ppm_per_s": ramp_ppm_per_s }))
     }
 
     /// Reads a chip's memory.

@@ -10,6 +10,8 @@ use std::process::Command;
 pub enum Image {
     /// RP2040, co-simulated.
     Rp2040Pico,
+    /// The same with a beat of 15.6 kHz at the highest priority.
+    Rp2040PicoPace,
     /// Cortex-M7 in QEMU.
     Mps2An500,
 }
@@ -20,13 +22,14 @@ impl Image {
     pub const fn name(self) -> &'static str {
         match self {
             Self::Rp2040Pico => "rp2040-pico",
+            Self::Rp2040PicoPace => "rp2040-pico+pace",
             Self::Mps2An500 => "mps2-an500",
         }
     }
 
     const fn target(self) -> &'static str {
         match self {
-            Self::Rp2040Pico => "thumbv6m-none-eabi",
+            Self::Rp2040Pico | Self::Rp2040PicoPace => "thumbv6m-none-eabi",
             Self::Mps2An500 => "thumbv7em-none-eabihf",
         }
     }
@@ -74,7 +77,7 @@ impl Places {
             Some(folder) => folder.join(image.name()),
             None => self.root.join("target").join(image.target()).join("image").join(image.name()),
         };
-        let mend = format!("build it with `cargo xtask build {}`, or name its folder with --images", image.name());
+        let mend = "`cargo xtask hil` builds what it runs; or name its folder with --images".to_owned();
         present(path, format!("the image {}", image.name()), mend)
     }
 

@@ -3,6 +3,7 @@
 //! - **Walk:** [`Scenario::run`] → the scenario's file → a [`Report`].
 //! - **Invariants:** a scenario ends the processes it started; one seed gives one run, where virtual time is used.
 
+mod clock;
 mod cycles;
 mod preemption;
 mod preemption_m7;
@@ -63,6 +64,12 @@ pub enum Scenario {
     },
     /// A user port that spins 50 ms, and the hub still forwards: latencies with and without
     Preemption,
+    /// System time of a root and two devices behind it against the truth, idle and under full load
+    Clock {
+        /// Virtual milliseconds after the last power-on
+        #[arg(long, default_value_t = 10_000)]
+        ms: u64,
+    },
     /// Worst cycles of each task of the Pico image, measured under several loads
     Cycles,
     /// Response times from the task table of each image, against the deadlines
@@ -82,6 +89,7 @@ impl Scenario {
             Self::RoundTrip { count: 250, goal: None },
             Self::Soak { ms: 2_000, errors: 1e-5 },
             Self::Preemption,
+            Self::Clock { ms: 4_000 },
             Self::Cycles,
             Self::Rta,
             Self::Settings,
@@ -98,6 +106,7 @@ impl Scenario {
             Self::RoundTrip { .. } => "round-trip",
             Self::Soak { .. } => "soak",
             Self::Preemption => "preemption",
+            Self::Clock { .. } => "clock",
             Self::Cycles => "cycles",
             Self::Rta => "rta",
             Self::Settings => "settings",
@@ -116,6 +125,7 @@ impl Scenario {
             Self::RoundTrip { count, goal } => round_trip::run(context, *count, *goal),
             Self::Soak { ms, errors } => soak::run(context, *ms, *errors),
             Self::Preemption => preemption::run(context),
+            Self::Clock { ms } => clock::run(context, *ms),
             Self::Cycles => cycles::run(context),
             Self::Rta => rta::run(context),
             Self::Settings => settings::run(context),
