@@ -3,7 +3,7 @@
 //! | task        | bound to       | priority | every µs | deadline µs | shares      | worst cycles (measured) | lock cycles |
 //! |-------------|----------------|----------|----------|-------------|-------------|-------------------------|-------------|
 //! | interpolate | `PWM_IRQ_WRAP` | 4        | 64       | 64          | -           | 920                     | -           |
-//! | receive     | `DMA_IRQ_0`    | 3        | 300      | 1,706       | -           | 4,320                   | -           |
+//! | receive     | `DMA_IRQ_0`    | 3        | 300      | 1,706       | -           | 6,340                   | -           |
 //! | transmitted | `DMA_IRQ_1`    | 2        | 435      | -           | -           | 55                      | -           |
 //! | wake        | `TIMER_IRQ_0`  | 2        | 300      | -           | -           | 60                      | -           |
 //! | usb         | `USBCTRL_IRQ`  | 2        | 1,000    | -           | links       | 1,020                   | -           |
@@ -12,16 +12,17 @@
 //! | idle        | -              | 0        | -        | -           | node        | -                       | 420         |
 //!
 //! Priority 4 is interpolation's. Until there is motion its task is there with the feature `pace` only, with a load of that size in its place
-//! (`interpolation`); the table counts it always. Bytes and their stamps are moved by DMA, so that no priority is urgent for them. The node is held by
-//! `serve` for single calls; a service works without it.
+//! (`interpolation`); the table counts it always. Bytes and their stamps are moved by DMA, so that no priority is urgent for them. The node is
+//! held by `serve` for single calls; a service works without it.
 //!
-//! `cargo xtask hil cycles` measures, `cargo xtask hil rta` calculates response times from this table; the cycles are the most seen, and a
-//! tenth more. Both UARTs at full load: `receive` is counted as a burst, for each UART 8 interrupts until routing is woken, one a byte, and one
-//! more for a byte that came while its interrupt was off, 240 cycles each. Then the UART is silent until a turn of `route` has drained it, once a
-//! turn: in the response time of `route` (its own turn, one before it, and what was left of an earlier burst) lie three bursts at most, which
-//! is what `every` comes to. A turn of `route` takes in all that came, so its worst is that of many frames. A ring holds 1,706 µs of bytes, and
-//! two turns may lie between a byte and its drain: each has half of that. A lock is no longer than `route` was ever seen to be pending. Where
-//! `transmitted` is late a wire idles, where `usb` is the host waits, and `serve` has what is left; they have no deadline.
+//! `cargo xtask hil cycles` measures, `cargo xtask hil rta` calculates response times from this table; the cycles are the most seen, and a tenth
+//! more. Both UARTs at full load: `receive` is counted as a burst, for each UART 8 interrupts until routing is woken, one a byte, and one more for a
+//! byte that came while its interrupt was off, 350 cycles each: one that interpolation kept waiting, and that finds more than one byte, so that there
+//! are fewer of them than counted here. Then the UART is silent until a turn of `route` has drained it, once a turn: in the response time of `route`
+//! (its own turn, one before it, and what was left of an earlier burst) lie three bursts at most, which is what `every` comes to. A turn of `route`
+//! takes in all that came, so its worst is that of many frames. A ring holds 1,706 µs of bytes, and two turns may lie between a byte and its drain:
+//! each has half of that. A lock is no longer than `route` was ever seen to be pending. Where `transmitted` is late a wire idles, where `usb` is the
+//! host waits, and `serve` has what is left; they have no deadline.
 #![no_std]
 #![no_main]
 

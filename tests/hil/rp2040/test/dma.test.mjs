@@ -25,6 +25,7 @@ const TIMERAWL = 0x40054028;
 const PWM = 0x40050000;
 
 const EN = 1;
+const HIGH_PRIORITY = 1 << 1;
 const WORD = 2 << 2;
 const HALF = 1 << 2;
 const INCR_READ = 1 << 4;
@@ -233,6 +234,44 @@ test('receive: the stamp may be a PWM counter, in cycles', () => {
   uart.receive(frame(1, uart.bitNs));
   chip.clock.advanceTo(zero + 2000 * CYCLE_NS);
   assert.equal(word(stamps), 1000 + 2 * (ISSUE_CYCLES + 3));
+});
+
+test('receive: a chain of three stamps each byte to a sixteenth of a microsecond, as the Pico image has it', () => {
+  const opened = open();
+  const { channel, chip, read, sram, uart: setUp, word, write } = opened;
+  const uart = setUp();
+  const fine = PWM + 7 * 0x14;
+  // The slice goes with TIMER: sixteen counts a microsecond, from an edge of it on.
+  chip.clock.advanceTo(Math.ceil(chip.clock.nanos / 1000) * 1000);
+  write(fine + 0x04, 125);
+  write(fine + 0x08, (read(TIMERAWL) * 16) & 0xffff);
+  write(fine, 1);
+  const [bytes, counts, stamps] = [RAM + 0x400, RAM + 0x600, RAM + 0x800];
+  const into = (/** @type {number} */ bits) => EN | HIGH_PRIORITY | INCR_WRITE | RING_WRITE | ring(bits);
+  channel(1, [TIMERAWL, stamps, 1, into(8) | WORD | ALWAYS | chain(0) | QUIET]);
+  channel(6, [fine + 0x08, counts, 1, into(6) | ALWAYS | chain(1) | QUIET]);
+  channel(0, [UART, bytes, 1, into(6) | UART0_RX | chain(6)]);
+  write(MULTI, 1);
+  // Both transmitters' channels are kept busy beside it: they give way but for the transfer under way, 8 cycles at most.
+  channel(4, [RAM, RAM + 0x4000, 0xffffffff, EN | WORD | ALWAYS | chain(4)]);
+  channel(5, [TIMERAWL, RAM + 0x4004, 0xffffffff, EN | WORD | ALWAYS | chain(5)]);
+  write(MULTI, 0b110000);
+  let [least, most] = [Infinity, -Infinity];
+  for (let i = 0; i < 64; i++) {
+    // A step that meets every part of a microsecond.
+    chip.clock.advanceTo(chip.clock.nanos + 10 * BIT_NS + 17.3);
+    const cameNs = chip.clock.nanos;
+    uart.receive(frame(i, uart.bitNs));
+    chip.clock.advanceTo(cameNs + 60 * CYCLE_NS);
+    const us = word(stamps + 4 * i);
+    const past = ((sram[counts - RAM + i] - us * 16) << 24) >> 24;
+    const late = (us * 16 + past) * 62.5 - cameNs;
+    [least, most] = [Math.min(least, late), Math.max(most, late)];
+    assert.equal(sram[bytes - RAM + i], i);
+  }
+  const own = 2 * (ISSUE_CYCLES + 3) * CYCLE_NS;
+  // Less by a count that is not complete and by the sum of the divisor's carry, less than a cycle; more by two transfers under way.
+  assert.ok(least > own - 62.5 - CYCLE_NS && most < own + 2 * 8 * CYCLE_NS, `${least} to ${most} ns`);
 });
 
 test('receive: bytes that waited in the FIFO come out in order with a stamp each', () => {
