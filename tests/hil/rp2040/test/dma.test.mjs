@@ -252,7 +252,7 @@ test('receive: a chain of three stamps each byte to a sixteenth of a microsecond
   channel(6, [fine + 0x08, counts, 1, into(6) | ALWAYS | chain(1) | QUIET]);
   channel(0, [UART, bytes, 1, into(6) | UART0_RX | chain(6)]);
   write(MULTI, 1);
-  // Both transmitters' channels are kept busy beside it: they give way but for the transfer under way, 8 cycles at most.
+  // Both transmitters' channels are busy beside it: they give way but for the transfer under way, 8 cycles at most.
   channel(4, [RAM, RAM + 0x4000, 0xffffffff, EN | WORD | ALWAYS | chain(4)]);
   channel(5, [TIMERAWL, RAM + 0x4004, 0xffffffff, EN | WORD | ALWAYS | chain(5)]);
   write(MULTI, 0b110000);
@@ -270,7 +270,7 @@ test('receive: a chain of three stamps each byte to a sixteenth of a microsecond
     assert.equal(sram[bytes - RAM + i], i);
   }
   const own = 2 * (ISSUE_CYCLES + 3) * CYCLE_NS;
-  // Less by a count that is not complete and by the sum of the divisor's carry, less than a cycle; more by two transfers under way.
+  // Less by a count that is not complete and by the divisor's carry, less than a cycle; more by two transfers under way.
   assert.ok(least > own - 62.5 - CYCLE_NS && most < own + 2 * 8 * CYCLE_NS, `${least} to ${most} ns`);
 });
 
