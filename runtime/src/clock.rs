@@ -232,12 +232,14 @@ impl Clock {
     /// still turn out wrong.
     #[must_use]
     pub fn bound_at(&self, local: LocalTicks) -> Option<Span> {
-        if self.tier == TIER_FREE_RUNNING || !self.is_settled {
-            return None;
-        }
         let off = self.map.system_at(local).steps_after(self.estimate.line.system_at(local)).unsigned_abs();
-        Some(self.estimate.bound_at(local) + Span::from_steps(off))
-            .filter(|bound| *bound < Span::from_steps(NO_BOUND.into()))
+        self.estimate_bound_at(local).and_then(|bound| given(bound + Span::from_steps(off)))
+    }
+
+    /// That of what it is slewed to.
+    pub(super) fn estimate_bound_at(&self, local: LocalTicks) -> Option<Span> {
+        let has_none = self.tier == TIER_FREE_RUNNING || !self.is_settled;
+        given(self.estimate.bound_at(local)).filter(|_| !has_none)
     }
 
     /// A number that is another one each time.
@@ -323,12 +325,13 @@ impl Clock {
 
     /// Gateways whose neighbours may be followed, with their indices, `[TIM-08]`.
     fn candidates<'a>(&self, gateways: &'a [Gateway], now: LocalTicks) -> impl Iterator<Item = (&'a Gateway, u8)> {
-        let (me, age_max_us) = (self.me, self.age_max_us());
+        let (me, age_max_us, is_settled) = (self.me, self.age_max_us(), self.is_settled);
         let ends = gateways.iter().zip(0u8..);
         ends.filter(move |(gateway, _)| {
             gateway.peer.said.is_some_and(|said| {
                 let has_root = said.tier < TIER_MAX && said.root.unique_id != me;
-                has_root && !said.is_yours && said.age_us(now) <= age_max_us
+                // who is settled has a bound, and takes nothing from who has none
+                has_root && !said.is_yours && said.age_us(now) <= age_max_us && (said.is_settled || !is_settled)
             })
         })
     }
@@ -360,7 +363,7 @@ impl Clock {
         self.root = root;
         self.news = (cut(age_us), now);
         self.steer(gateways, now, changes);
-        self.is_settled |= is_settled && exchanges >= SETTLE_EXCHANGES;
+        self.is_settled |= is_settled && exchanges >= SETTLE_EXCHANGES && given(estimate.bound).is_some();
     }
 
     /// Brings the map towards the estimate, `[TIM-10]`, `[TIM-11]`.
@@ -459,6 +462,11 @@ impl Clock {
 /// A root's own time: no error and no bound but those of others.
 const fn own(line: TimeLine) -> Estimate {
     Estimate { line, error: Span::ZERO, bound: Span::ZERO, drift: Rate::ZERO }
+}
+
+/// A bound, unless it is more than a reply can say.
+fn given(bound: Span) -> Option<Span> {
+    (bound < Span::from_steps(NO_BOUND.into())).then_some(bound)
 }
 
 /// A timescale that may be followed.

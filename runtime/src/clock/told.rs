@@ -29,8 +29,7 @@ impl Clock {
         } else {
             (self.map.system_at(heard), self.map.rate_at(heard))
         };
-        let bound =
-            if follows { self.bound_at(heard).map(|_| self.estimate.bound_at(heard)) } else { self.bound_at(heard) };
+        let bound = if follows { self.estimate_bound_at(heard) } else { self.bound_at(heard) };
         let (age_us, news_at) = self.news;
         let age_us = if self.tier == 0 { 0 } else { u64::from(age_us) + heard.since(news_at).as_us_ceil() };
         TimeReply {
