@@ -18,8 +18,8 @@ const GROWTH_MAX: i64 = 1 << 56;
 const OFFSET_FLOOR: i64 = 1 << 20;
 /// Smallest variance of the skew, (0.93 ppb)²: below it rounding of the products above takes over.
 const SKEW_FLOOR: i64 = 1 << 8;
-/// Fraction bits of a gain.
-const GAIN_FRACTION: u32 = 32;
+/// Fraction bits of a gain. That of the skew is up to 2^18, and down to 2^−13.
+const GAIN_FRACTION: u32 = 40;
 /// Fraction bits of a span of time in units of 2^16 µs when it is given in steps.
 const TIME_FRACTION: u32 = 24;
 
@@ -31,7 +31,7 @@ pub(super) struct Covariance {
     pub(super) skew: i64,
 }
 
-/// What part of a surprise goes to the offset and to the skew, in 2^−32.
+/// What part of a surprise goes to the offset and to the skew, in 2^−40.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Gains {
     offset: i64,
@@ -111,5 +111,103 @@ const fn within(value: i64, floor: i64) -> i64 {
         CAP
     } else {
         value
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::cast_precision_loss, reason = "the reference is in floating point")]
+mod tests {
+    use super::*;
+    extern crate std;
+    use proptest::prelude::*;
+    use std::vec::Vec;
+
+    /// µs² of an entry.
+    fn value(entry: i64) -> f64 {
+        entry as f64 / f64::from(1u32 << 18).powi(2)
+    }
+
+    /// The same filter, of a textbook, in floating point; µs and units of 2^16 µs.
+    struct Reference {
+        p: [[f64; 2]; 2],
+    }
+
+    impl Reference {
+        fn after(&mut self, time: f64, a: f64) {
+            let [[p00, p01], [_, p11]] = self.p;
+            let both = p01 + time * p11 + a * time * time / 2.0;
+            self.p[0][0] = p00 + 2.0 * time * p01 + time * time * p11 + a * time.powi(3) / 3.0;
+            self.p[0][1] = both;
+            self.p[1] = [both, p11 + a * time];
+        }
+
+        fn measured(&mut self, r: f64) -> [f64; 2] {
+            let [[p00, p01], [_, p11]] = self.p;
+            let gains = [p00 / (p00 + r), p01 / (p00 + r)];
+            self.p = [[gains[0] * r, gains[1] * r], [gains[1] * r, p11 - gains[1] * p01]];
+            gains
+        }
+    }
+
+    /// A crystal's or an RC oscillator's start, and exchanges 1 ms to 10 s apart with any excess.
+    fn exchanges() -> impl Strategy<Value = (i64, Vec<(i64, i64)>)> {
+        let time = prop_oneof![256_000i64..2_560_000, 1_280_000i64..12_800_000, 12_800_000i64..2_560_000_000];
+        let noise = prop_oneof![4 => Just(5_726_623_061i64), 1 => 1i64 << 32..1 << 46];
+        ((1i64 << 38..1 << 44), prop::collection::vec((time, noise), 1..400))
+    }
+
+    proptest! {
+        /// Gains and variances are those of the reference. A measurement brings the skew's variance down to a part in 2^23 at most
+        /// ([`GROWTH_MAX`] over the least noise), by a difference whose larger side is a part in 2^30 off: 2^−7 of what is left, which the
+        /// next one no longer sees. Other roundings are a unit each, of entries above 2^12.
+        #[test]
+        fn gains_are_those_of_the_reference((skew, exchanges) in exchanges()) {
+            let agility = 17_400;
+            let mut found = Covariance::apart(1 << 33, skew);
+            let mut reference = Reference { p: [[value(1 << 33), 0.0], [0.0, value(skew)]] };
+            for (steps, noise) in exchanges {
+                let Some(later) = found.after(steps, agility) else { break };
+                reference.after(steps as f64 / f64::from(1 << 24), value(agility));
+                let gains = later.gains(noise);
+                found = later.measured(noise, gains);
+                let exact = reference.measured(value(noise));
+                let gain = |gain: i64| gain as f64 / f64::from(1u32 << 20).powi(2);
+                prop_assert!((gain(gains.offset) - exact[0]).abs() <= exact[0] / 128.0 + 1e-9, "{gains:?} {exact:?}");
+                prop_assert!((gain(gains.skew) - exact[1]).abs() <= exact[1].abs() / 128.0 + 1e-9, "{gains:?} {exact:?}");
+                let [[p00, _], [_, p11]] = reference.p;
+                prop_assert!((value(found.offset) - p00).abs() <= p00 / 128.0, "{found:?} {p00}");
+                prop_assert!((value(found.skew) - p11).abs() <= p11 / 128.0, "{found:?} {p11}");
+            }
+        }
+
+        /// What a slope is worth: two measurements of which the first was preceded by nothing.
+        #[test]
+        fn a_slope_is_the_filter_that_knew_nothing(steps in 256_000_000i64..1 << 38, noise in 1i64 << 32..1 << 40) {
+            let time = steps as f64 / f64::from(1 << 24);
+            let found = Covariance::of_slope(noise, noise, Reciprocal::of(steps), steps, 17_400);
+            // a skew of which nothing is known: hundreds of ppm squared, and no more, as the reference subtracts too
+            let mut reference = Reference { p: [[value(noise), 0.0], [0.0, 1e4]] };
+            reference.after(time, value(17_400));
+            reference.measured(value(noise));
+            let [[p00, p01], [_, p11]] = reference.p;
+            let near = |found: i64, exact: f64| (value(found) - exact).abs() <= 1e-3 * exact + value(1 << 9);
+            prop_assert!(near(found.offset, p00) && near(found.both, p01) && near(found.skew, p11), "{found:?} {p00} {p01} {p11}");
+        }
+
+        /// No times, noises or walks overflow or leave the caps.
+        #[test]
+        fn nothing_leaves_the_caps(start in 0i64..=CAP, steps in 0i64..1 << 38, agility in 0i64..1 << 30, noise in 1i64..=CAP, surprise in any::<i64>()) {
+            let mut found = Covariance::apart(start, start);
+            while let Some(later) = found.after(steps, agility) {
+                let gains = later.gains(noise);
+                let _ = gains.of(surprise);
+                let measured = later.measured(noise, gains);
+                prop_assert!((OFFSET_FLOOR..=CAP).contains(&measured.offset) && (SKEW_FLOOR..=CAP).contains(&measured.skew));
+                if measured == found || measured.offset >= found.offset {
+                    break;
+                }
+                found = measured;
+            }
+        }
     }
 }

@@ -6,8 +6,9 @@
 //! - **Invariants:** all is kept relative to the last exchange accepted, so nothing grows with the counters. The estimate lies inside the
 //!   interval of what is certainly so. No stamps make it panic, and none lock it out: [`RUN`] refused exchanges that agree with each
 //!   other start it anew.
-//! - **Context:** once an exchange. Products of 128 bits: 13 an exchange (16 when the rate is measured as a slope); divisions of 64 bits:
-//!   two, and two square roots; all else is 64 bits.
+//! - **Context:** once an exchange. Products of 128 bits: 15, and 2 more where the estimate was outside what is certain. Divisions of 64
+//!   bits: two or three. [`LinkClock::compose`]: four and no division, but a square root or two. On a Cortex-M0+ an exchange is about
+//!   16,000 cycles, and at most 19,000 (instructions counted, the manual's cycles, code in RAM): 3 % of 125 MHz at 200 Hz.
 
 use super::covariance::{CAP, Covariance, Gains};
 use super::interval::{Certain, Interval};

@@ -3,7 +3,8 @@
 //! - **Walk:** a [`Servo`](super::Servo) gives a target line → [`SlewedMap::slew_to`] → every reader asks [`SlewedMap::system_at`].
 //! - **Invariants:** only [`SlewedMap::step_to`] steps. Otherwise the map never runs backwards, is where it was when a new target comes,
 //!   and lies on the target from the meeting on. Where the two pieces meet, rounding may make it wait or skip two steps (8 ns).
-//! - **Context:** reading is one 64 × 32-bit product and a comparison, for interrupts too; a new target is two 64-bit divisions.
+//! - **Context:** reading is one 64 × 32-bit product and a comparison, about 290 cycles on a Cortex-M0+, for interrupts too; a new target
+//!   is four 64-bit divisions.
 
 use super::line::{TimeLine, distance};
 use crate::time::{LocalTicks, NetTime, Rate, Span};

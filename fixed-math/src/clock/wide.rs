@@ -40,10 +40,11 @@ impl Reciprocal {
         Self { mantissa: ((1 << 63) / upper).cast_signed(), zeros }
     }
 
-    /// `numerator / denominator` in 2^−`fraction`, at most 2^−31 of itself away from exact, and rounded down. `fraction` is 32 or less.
+    /// `numerator / denominator` in 2^−`fraction`, at most 2^−31 of itself away from exact, and rounded down. `fraction` is 32 or less,
+    /// or for a denominator of 2^16 and more 48.
     pub(super) const fn times(self, numerator: i64, fraction: u32) -> i64 {
         // 1/d = mantissa · 2^(zeros − 95), and zeros is 63 at most
-        mul_shift(numerator, self.mantissa, 95 - self.zeros - fraction)
+        mul_shift(numerator, self.mantissa, (95 - self.zeros).saturating_sub(fraction))
     }
 }
 
