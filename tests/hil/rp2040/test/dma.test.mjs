@@ -270,7 +270,7 @@ test('receive: a chain of three stamps each byte to a sixteenth of a microsecond
     assert.equal(sram[bytes - RAM + i], i);
   }
   const own = 2 * (ISSUE_CYCLES + 3) * CYCLE_NS;
-  // Less by a count that is not complete and by the divisor's carry, less than a cycle; more by two transfers under way.
+  // Less by an incomplete count and by the divisor's carry, less than a cycle; more by two transfers under way.
   assert.ok(least > own - 62.5 - CYCLE_NS && most < own + 2 * 8 * CYCLE_NS, `${least} to ${most} ns`);
 });
 
