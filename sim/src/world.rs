@@ -265,7 +265,16 @@ impl World {
 
     /// Says how well a node stamps from now on; exactly where nobody says.
     pub fn set_stamps(&mut self, node: NodeId, model: StampModel) {
-        self.stations[node.at()].stamps = Stamps::new(model, self.seed, node.0);
+        let it = &mut self.stations[node.at()].stamps;
+        let job_spread = it.job_spread;
+        *it = Stamps::new(model, self.seed, node.0);
+        it.job_spread = job_spread;
+    }
+
+    /// Says how much longer than its processor's times a job of a node takes from now on: up to so much, uniform. Without it all that a
+    /// node does follows its timer's ticks at a fixed distance, and so do the remainders that are lost where its stamps are cut to ticks.
+    pub fn set_job_spread(&mut self, node: NodeId, spread: Span) {
+        self.stations[node.at()].stamps.job_spread = spread;
     }
 
     /// Wires two gateways together and opens them.

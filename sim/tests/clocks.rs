@@ -219,3 +219,31 @@ fn a_lines_clocks_differ_within_their_bounds() {
     // 21 draws from 100 ppm: all within a half of it with a chance of 22 · 2^−21
     assert!(gained.iter().max().unwrap() - gained.iter().min().unwrap() > 50 << 8, "{gained:?}");
 }
+
+/// Without a spread of its jobs a node's departures lie at fixed places between its timer's ticks; with one of a tick, anywhere.
+#[test]
+fn a_spread_of_jobs_frees_departures_from_the_ticks() {
+    let places = |job_spread| {
+        let mut world = World::new(2);
+        let model = ClockWorld { job_spread, stamps: StampModel::EXACT, boots_within: us(0), ..ClockWorld::FIGURES };
+        let line = clocks::line(&mut world, 1, &model);
+        let seen = Arc::new(Mutex::new(Vec::new()));
+        let tapped = Arc::clone(&seen);
+        world.tap_link(
+            line.links[0],
+            Box::new(move |event| {
+                let is_request =
+                    event.packet.get(SYSTEM_HEADER_BYTES + 1..).is_some_and(|it| TimeRequest::decode(it).is_ok());
+                if event.way == 0 && is_request {
+                    tapped.lock().unwrap().push(event.at);
+                }
+            }),
+        );
+        world.run_for(us(300_000));
+        let seen = seen.lock().unwrap();
+        let places = seen.iter().map(|at| world.exact(line.nodes[0], *at).steps() % 256);
+        places.map(|place| place / 64).collect::<std::collections::BTreeSet<u64>>().len()
+    };
+    assert_eq!(places(us(1)), 4, "each quarter of a tick is met");
+    assert!(places(us(0)) < 4);
+}

@@ -34,6 +34,8 @@ pub struct ClockWorld {
     pub tick: Span,
     /// How well each node stamps.
     pub stamps: StampModel,
+    /// How much longer than its processor's time each job may take.
+    pub job_spread: Span,
     /// Nodes boot within this time, evenly distributed; the first one at its beginning.
     pub boots_within: Span,
     /// What each link adds to its wire time.
@@ -48,6 +50,8 @@ impl ClockWorld {
         ramp: Ramp { ppm_per_s: 0.01, ppm_max: 2.0 },
         tick: Span::from_us(1),
         stamps: StampModel { delayed_part: 0.3, delay_mean: Span::from_us(8), ..StampModel::EXACT },
+        // the images' round trips spread over 2.6 µs in three jobs
+        job_spread: Span::from_us(1),
         boots_within: Span::from_us(50_000),
         link: LinkModel::WIRE,
     };
@@ -108,6 +112,7 @@ fn build(world: &mut World, nodes: usize, fan_out: usize, model: &ClockWorld) ->
         let factory = sim_factory(world, kind, &name, vec![UART; 1 + below]);
         let node = world.add_device_at(begins + after, factory, PICO_125_MHZ, clock);
         world.set_stamps(node, model.stamps);
+        world.set_job_spread(node, model.job_spread);
         it.nodes.push(node);
         if let Some(place) = at.checked_sub(1) {
             let (parent, way_down) = (place / fan_out, place % fan_out);

@@ -38,16 +38,30 @@ impl StampModel {
     pub const EXACT: Self = Self { delayed_part: 0.0, delay_mean: Span::ZERO, departure: Departure::StampedBefore };
 }
 
-/// A node's stamps.
+/// A node's stamps, and what else differs from one time to the next in it.
 pub(super) struct Stamps {
     model: StampModel,
+    /// Most that a job takes longer.
+    pub(super) job_spread: Span,
     rng: Pcg64,
 }
 
 impl Stamps {
     pub(super) fn new(model: StampModel, seed: u64, node: u32) -> Self {
         // a stream of the generator, which the world's own draws never use
-        Self { model, rng: Pcg64::new(u128::from(seed) ^ STATE, u128::from(node) << 1 | STREAM) }
+        Self {
+            model,
+            job_spread: Span::ZERO,
+            rng: Pcg64::new(u128::from(seed) ^ STATE, u128::from(node) << 1 | STREAM),
+        }
+    }
+
+    /// What the next job takes longer; nothing is drawn where none does.
+    pub(super) fn job(&mut self) -> Span {
+        if self.job_spread == Span::ZERO {
+            return Span::ZERO;
+        }
+        Span::from_steps(self.rng.random_range(0..=self.job_spread.steps()))
     }
 
     /// What the next stamp is late by, at most `limit`. Nothing is drawn where no stamp is delayed.

@@ -229,6 +229,7 @@ impl World {
                 let Flight { gateway, quiet, .. } = *self.flights.get(flight);
                 self.note(node, WalkStage::HandedOver, gateway, quiet);
             }
+            let takes = takes + self.stations[node.at()].stamps.job();
             if takes > Span::ZERO {
                 let token = self.stations[node.at()].job_token;
                 self.queue.plan(now + takes, What::Job { node, token });

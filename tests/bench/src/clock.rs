@@ -36,10 +36,12 @@ pub(crate) fn run(seeds: u64, output: &Output) {
     let exact = ClockWorld { stamps: StampModel::EXACT, ..ClockWorld::FIGURES };
     let late = StampModel { departure: Departure::StampedAfter, ..ClockWorld::FIGURES.stamps };
     let late = ClockWorld { stamps: late, ..ClockWorld::FIGURES };
+    let locked = ClockWorld { job_spread: Span::ZERO, ..ClockWorld::FIGURES };
     let rows = [
         ("4 hops", estimator, seeds),
         ("4 hops, no stamp delayed", Scene { world: exact, ..estimator }, seeds),
         ("4 hops, departures stamped late", Scene { world: late, ..estimator }, seeds),
+        ("4 hops, jobs last whole ticks", Scene { world: locked, ..estimator }, seeds),
         ("4 hops", four_hops(ServoKind::Diffusion), seeds),
         ("4 hops", four_hops(ServoKind::Oldest), seeds),
         ("20 hops in a line", Scene { shape: Shape::Line { hops: 20 }, ..estimator }, seeds.min(10)),
