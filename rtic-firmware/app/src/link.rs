@@ -9,7 +9,7 @@
 use fixed_math::time::LocalTicks;
 use osap_protocol::framing::{Deframer, Frame, FrameError, Framer};
 use osap_protocol::header::Arrival;
-use osap_protocol::time::stamp;
+use osap_protocol::time::{SLOT_BYTES, stamp};
 use osap_protocol::{DropCause, GatewayIndex};
 use osap_runtime::ring::HandOver;
 use osap_runtime::{Departure, GatewayConfig, Node};
@@ -129,7 +129,9 @@ impl<W: Wire, const BYTES: usize, const FRAME: usize> Link<W, BYTES, FRAME> {
             let Self { wire, config, .. } = self;
             let sent = node.transmit_with(self.gateway, at, BYTES, |Departure { packet, is_stamped, .. }| {
                 let mut framer = Framer::new(config.check);
-                let head_len = packet.len().min(HEAD_BYTES);
+                // the slot is not known before the head has left
+                let settled = if is_stamped { packet.len().saturating_sub(SLOT_BYTES) } else { packet.len() };
+                let head_len = settled.min(HEAD_BYTES);
                 framer.push_head(&packet[..head_len], wire.room());
                 if !is_stamped {
                     wire.send_head(framer.settled());
