@@ -414,7 +414,12 @@ impl Clock {
     fn be_root(&mut self, gateways: &[Gateway], now: LocalTicks) {
         let is_root = self.settings.priority != PRIORITY_NEVER;
         if self.tier != 0 && self.tier != TIER_FREE_RUNNING {
-            let line = TimeLine { at: now, system: self.estimate.line.system_at(now), rate: self.estimate.line.rate };
+            // on at once to where it is slewed, or where nobody steers it there, from where it is
+            let line = match self.settings.servo {
+                ServoKind::Estimator => self.estimate.line,
+                ServoKind::Diffusion | ServoKind::Oldest => self.map.target(),
+            };
+            let line = TimeLine { at: now, system: line.system_at(now), rate: line.rate };
             if is_root {
                 self.estimate = own(line);
             }

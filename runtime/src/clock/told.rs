@@ -6,7 +6,7 @@
 use super::{Clock, cut};
 use crate::gateway::Gateway;
 use crate::peer::Owed;
-use fixed_math::time::{LocalTicks, PeerTicks, Span};
+use fixed_math::time::{LocalTicks, PeerTicks, Rate, Span};
 use osap_protocol::GatewayIndex;
 use osap_protocol::discovery::{
     ClockMark, KEPT_LINKS_MAX, KeptLink, KeptTime, ServoKind, TimeControl, TimeSettings, TimeStatus,
@@ -30,6 +30,11 @@ impl Clock {
             (self.map.system_at(heard), self.map.rate_at(heard))
         };
         let bound = if follows { self.estimate_bound_at(heard) } else { self.bound_at(heard) };
+        // whoever goes on at the rate told goes away from the root by as much as that is off; a root that shims its own rate may turn round
+        let strays = match self.settings.servo {
+            ServoKind::Oldest if self.tier == 0 => 2 * Rate::from_ppb(self.settings.skew_limit_ppb).bits().unsigned_abs(),
+            _ => rate.bits().abs_diff(self.estimate.line.rate.bits()),
+        };
         let (age_us, news_at) = self.news;
         let age_us = if self.tier == 0 { 0 } else { u64::from(age_us) + heard.since(news_at).as_us_ceil() };
         TimeReply {
@@ -40,7 +45,7 @@ impl Clock {
             rate,
             error_steps: cut(self.estimate.error.steps()),
             bound_steps: bound.map_or(NO_BOUND, |bound| cut(bound.steps())),
-            drift_bits: self.estimate.drift.bits().unsigned_abs(),
+            drift_bits: self.estimate.drift.bits().unsigned_abs().saturating_add(strays),
             age_us: cut(age_us),
             tick_steps: u16::try_from(tick.steps()).unwrap_or(u16::MAX),
             tier: self.tier,
