@@ -32,7 +32,9 @@ impl Clock {
         let bound = if follows { self.estimate_bound_at(heard) } else { self.bound_at(heard) };
         // whoever goes on at the rate told goes away from the root by as much as that is off; a root that shims its own rate may turn round
         let strays = match self.settings.servo {
-            ServoKind::Oldest if self.tier == 0 => 2 * Rate::from_ppb(self.settings.skew_limit_ppb).bits().unsigned_abs(),
+            ServoKind::Oldest if self.tier == 0 => {
+                2 * Rate::from_ppb(self.settings.skew_limit_ppb).bits().unsigned_abs()
+            }
             _ => rate.bits().abs_diff(self.estimate.line.rate.bits()),
         };
         let (age_us, news_at) = self.news;
