@@ -283,11 +283,14 @@ impl Clock {
     pub(crate) fn follow(&mut self, gateways: &[Gateway], now: LocalTicks) -> Changes {
         let was = (self.root.unique_id, self.tier);
         let mut changes = Changes::default();
-        if let Some((root, tier)) = self.choose(gateways, now) {
-            self.follow_root(gateways, root, tier, now, &mut changes);
-        } else {
-            changes.lost = self.tier != 0 && self.tier != TIER_FREE_RUNNING;
-            self.be_root(gateways, now);
+        match self.choose(gateways, now) {
+            Choice::Follow { root, tier } => self.follow_root(gateways, root, tier, now, &mut changes),
+            // who was heard of lately may be heard of again
+            Choice::Nobody if self.has_news(now) => {}
+            choice => {
+                changes.lost = matches!(choice, Choice::Nobody) && self.follows();
+                self.be_root(gateways, now);
+            }
         }
         if self.root.unique_id != was.0 || (self.tier == TIER_FREE_RUNNING) != (was.1 == TIER_FREE_RUNNING) {
             self.root_changes = self.root_changes.saturating_add(1);
@@ -297,11 +300,21 @@ impl Clock {
         changes
     }
 
-    /// Who is to be followed, and the tier of who is nearest to it; `None` to be root, or nobody's, `[TIM-07]`.
-    fn choose(&self, gateways: &[Gateway], now: LocalTicks) -> Option<(Root, u8)> {
+    const fn follows(&self) -> bool {
+        self.tier != 0 && self.tier != TIER_FREE_RUNNING
+    }
+
+    /// Whether this node follows a root of which it has heard lately.
+    fn has_news(&self, now: LocalTicks) -> bool {
+        let (age_us, at) = self.news;
+        self.follows() && u64::from(age_us) + now.since(at).as_us_ceil() <= self.age_max_us()
+    }
+
+    /// Who is to be followed, and the tier of who is nearest to it, `[TIM-07]`.
+    fn choose(&self, gateways: &[Gateway], now: LocalTicks) -> Choice {
         let mut lead: Option<Claim> = None;
         for (gateway, _) in self.candidates(gateways, now) {
-            let (Some(said), Some(estimate)) = (gateway.peer.said, gateway.peer.estimate(now)) else { continue };
+            let (Some(said), Some(estimate)) = (gateway.peer.said, gateway.peer.estimate()) else { continue };
             let claim = Claim { root: said.root, system: estimate.line.system_at(now), tier: said.tier };
             lead = Some(match lead {
                 Some(other) if other.root.unique_id == claim.root.unique_id => {
@@ -311,7 +324,7 @@ impl Clock {
                 _ => claim,
             });
         }
-        let lead = lead?;
+        let Some(lead) = lead else { return Choice::Nobody };
         let mine = Root { priority: self.settings.priority, unique_id: self.me };
         let stays = self.settings.priority != PRIORITY_NEVER
             && if self.tier == 0 {
@@ -320,7 +333,7 @@ impl Clock {
             } else {
                 mine.priority < lead.root.priority
             };
-        (!stays).then_some((lead.root, lead.tier))
+        if stays { Choice::Root } else { Choice::Follow { root: lead.root, tier: lead.tier } }
     }
 
     /// Gateways whose neighbours may be followed, with their indices, `[TIM-08]`.
@@ -350,8 +363,7 @@ impl Clock {
             is_settled |= said.is_settled;
         }
         let of_sources = gateways.iter().zip(0u8..).filter(|(_, index)| sources & 1 << index != 0);
-        let Some(estimate) = Estimate::mean(of_sources.filter_map(|(gateway, _)| gateway.peer.estimate(now)), now)
-        else {
+        let Some(estimate) = Estimate::mean(of_sources.filter_map(|(gateway, _)| gateway.peer.estimate()), now) else {
             return;
         };
         if self.tier == 0 || self.tier == TIER_FREE_RUNNING || self.root.unique_id != root.unique_id {
@@ -390,7 +402,7 @@ impl Clock {
         let mut neighbours = heapless::Vec::<Neighbour, NEIGHBOURS_MAX>::new();
         for (gateway, index) in gateways.iter().zip(0u8..) {
             let peer = &gateway.peer;
-            let (Some(said), Some(estimate)) = (peer.said, peer.estimate(now)) else { continue };
+            let (Some(said), Some(estimate)) = (peer.said, peer.estimate()) else { continue };
             if (all && said.tier < TIER_MAX) || self.sources & 1 << index != 0 {
                 let (offset_steps, filtered) = (peer.offset_steps, peer.filtered_steps);
                 let filtered_steps = filtered.unwrap_or(offset_steps);
@@ -472,6 +484,17 @@ const fn own(line: TimeLine) -> Estimate {
 /// A bound, unless it is more than a reply can say.
 fn given(bound: Span) -> Option<Span> {
     (bound < Span::from_steps(NO_BOUND.into())).then_some(bound)
+}
+
+/// What a node is to do.
+#[derive(Clone, Copy, Debug)]
+enum Choice {
+    /// To follow this root, which is nearest by neighbours of this tier.
+    Follow { root: Root, tier: u8 },
+    /// To be root, though there is another.
+    Root,
+    /// There is none to be followed.
+    Nobody,
 }
 
 /// A timescale that may be followed.

@@ -92,7 +92,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         let gateway = self.gateways.get_mut(index.at()).ok_or(DropCause::NoSuchGateway)?;
         let stamps = gateway.config.stamps;
         gateway.peer.hear(reply, started, stamps, me)?;
-        if let Some(estimate) = gateway.peer.estimate(started) {
+        if let Some(estimate) = gateway.peer.estimate() {
             let offset = estimate.line.system_at(started).steps_after(self.clock.map().system_at(started));
             if self.clock.is_absurd(offset, reply.root.unique_id) {
                 gateway.peer.said = None;

@@ -37,7 +37,6 @@ pub(crate) struct Owed {
 /// What a neighbour said last, once it was believed.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Said {
-    pub(crate) estimate: PeerEstimate,
     pub(crate) tier: u8,
     pub(crate) root: Root,
     pub(crate) age_us: u32,
@@ -68,6 +67,8 @@ pub(crate) struct Peer {
     open: Option<Open>,
     pub(crate) owed: Option<Owed>,
     pub(crate) said: Option<Said>,
+    /// System time as of what was said last, composed once: what takes thousands of cycles on a device is not done for each look.
+    estimate: Option<Estimate>,
     sequence: u8,
     burst: u8,
     outliers: u8,
@@ -89,6 +90,7 @@ impl Peer {
             open: None,
             owed: None,
             said: None,
+            estimate: None,
             sequence: 0,
             burst: 0,
             outliers: 0,
@@ -199,8 +201,8 @@ impl Peer {
             bound: if reply.bound_steps == NO_BOUND { Span::MAX } else { span(reply.bound_steps) },
             drift: Rate::saturated(i64::from(reply.drift_bits)),
         };
+        self.estimate = Some(self.link.compose(&estimate, received));
         self.said = Some(Said {
-            estimate,
             tier: reply.tier,
             root: reply.root,
             age_us: reply.age_us,
@@ -254,10 +256,9 @@ impl Peer {
         self.filtered_steps = Some(self.filtered_steps.map_or(offset_steps, |was| ewma(was, offset_steps, weight_q16)));
     }
 
-    /// System time as this neighbour has it, at `at`; `None` where nothing is known of it.
-    pub(crate) fn estimate(&self, at: LocalTicks) -> Option<Estimate> {
-        let said = self.said.as_ref()?;
-        Some(self.link.compose(&said.estimate, at))
+    /// System time as this neighbour has it, as of its last reply; `None` where nothing is known of it.
+    pub(crate) fn estimate(&self) -> Option<Estimate> {
+        self.said.and(self.estimate)
     }
 
     /// Answer to query 13, `[TIM-12]`.
