@@ -43,3 +43,21 @@ impl ShortestRoundTrip {
         steps.saturating_sub(self.steps()).max(0)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A path that became 100 steps slower is judged by what it is now after two windows at most, and not before one.
+    #[test]
+    fn a_shorter_path_is_forgotten_in_time() {
+        let mut shortest = ShortestRoundTrip::NONE;
+        shortest.take(1_000);
+        assert_eq!((shortest.excess(1_100), shortest.excess(900)), (100, 0));
+        let forgotten = (1..).find(|_| {
+            shortest.take(1_100);
+            shortest.excess(1_100) == 0
+        });
+        assert!((WINDOW..=2 * WINDOW).contains(&forgotten.unwrap()), "{forgotten:?}");
+    }
+}
