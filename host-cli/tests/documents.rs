@@ -55,6 +55,9 @@ fn every_command_writes_documents_of_its_schema() {
         (with_sim(&["counters", "--all"]), "osap.counters/1"),
         (with_sim(&["debug", "/0"]), "osap.debug/1"),
         (with_sim(&["bench", "/0", "-n", "2"]), "osap.bench/1"),
+        (with_sim(&["clock", "watch", "--for", "0"]), "osap.clock-watch/1"),
+        (with_sim(&["clock", "wait", "--within", "1ms"]), "osap.clock-wait/1"),
+        (with_sim(&["clock", "tune", "/0", "--interval", "20ms"]), "osap.clock-tune/1"),
         (vec!["decode", "05 e8 03 40 00 41 c0 18 01 00 2a"], "osap.decode/1"),
         (vec!["key", "generate", &key], "osap.key-generate/1"),
         (vec!["completions", "bash"], "osap.completions/1"),
@@ -90,7 +93,7 @@ fn the_fields_that_scripts_read_are_there() {
 /// Each code that can be had without hardware, as a document that says what, where and what next.
 #[test]
 fn errors_are_documents_with_their_codes() {
-    let cases: [(&[&str], Exit); 10] = [
+    let cases: [(&[&str], Exit); 12] = [
         // Nobody is there, which a datagram link cannot know.
         (&["scan", "--link", "udp:127.0.0.1:9"], Exit::NoAnswer),
         (&["scan", "--colour"], Exit::Usage),
@@ -102,6 +105,8 @@ fn errors_are_documents_with_their_codes() {
         (&["ping", "/0", "-n", "1", "--ttl-us", "1", "--link", "sim:line:1"], Exit::NoAnswer),
         (&["map", "--compare", "no/such/map", "--link", "sim:line:1"], Exit::Io),
         (&["sim", "printer", "--listen", "tcp:0.0.0.0:0"], Exit::KeyNeeded),
+        (&["clock", "wait", "--within", "0us", "--timeout", "100ms", "--link", "sim:line:2"], Exit::NotSettled),
+        (&["clock", "tune", "/0", "--gate=-1us", "--link", "sim:line:2"], Exit::Refused),
     ];
     for (line, expected) in cases {
         let (exit, _, talk) = documents(line);
@@ -131,6 +136,7 @@ fn man_pages_tell_the_exit_codes() {
     for page in [page, of_scan] {
         assert!(Exit::ALL.iter().all(|exit| page.contains(exit.meaning())), "{page}");
     }
-    // Itself, its fourteen commands and `key generate`.
-    assert_eq!(pages, 1 + definition().get_subcommands().count() + 1);
+    // Itself, its commands and theirs, such as `key generate`.
+    let of_command = |command: &clap::Command| 1 + command.get_subcommands().count();
+    assert_eq!(pages, 1 + definition().get_subcommands().map(of_command).sum::<usize>());
 }

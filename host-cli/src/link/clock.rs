@@ -22,19 +22,30 @@ const COARSE_TICK: Span = Span::from_us(20_000);
 #[derive(Clone, Debug)]
 pub struct Clock {
     origin: Instant,
+    /// What it showed then.
+    offset: Span,
+    /// How much faster than the system's it is, parts per 10⁹.
+    ppb: i32,
 }
 
 impl Clock {
     /// A clock that reads zero now.
     #[must_use]
     pub fn new() -> Self {
-        Self { origin: Instant::now() }
+        Self::synthetic(Span::ZERO, 0)
+    }
+
+    /// A clock that reads `offset` now and is faster than this computer's by `ppb` parts in 10⁹, down to −500,000,000: another device's, as
+    /// far as a measurement with one kernel can have one.
+    #[must_use]
+    pub fn synthetic(offset: Span, ppb: i32) -> Self {
+        Self { origin: Instant::now(), offset, ppb: ppb.max(-500_000_000) }
     }
 
     /// Its reading.
     #[must_use]
     pub fn now(&self) -> LocalTicks {
-        LocalTicks::ZERO + span_of(self.origin.elapsed())
+        LocalTicks::ZERO + self.offset + span_of(shown(self.origin.elapsed(), self.ppb))
     }
 
     /// Its tick: the least that two of its readings were seen to differ by, which is no less than what they are rounded to.
@@ -56,7 +67,7 @@ impl Clock {
     /// How long until `at`; zero where it is past.
     #[must_use]
     pub fn until(&self, at: LocalTicks) -> Duration {
-        duration_of(at.since(self.now()))
+        awaited(duration_of(at.since(self.now())), self.ppb)
     }
 }
 
@@ -66,6 +77,27 @@ impl Default for Clock {
     }
 }
 
+const BILLION: u128 = 1_000_000_000;
+
+/// What a clock shows that is faster by so many parts in 10⁹, rounded down.
+fn shown(duration: Duration, ppb: i32) -> Duration {
+    nanoseconds(duration.as_nanos().saturating_mul(faster(ppb)) / BILLION)
+}
+
+/// The time in which such a clock shows `duration`, rounded up.
+fn awaited(duration: Duration, ppb: i32) -> Duration {
+    nanoseconds(duration.as_nanos().saturating_mul(BILLION).div_ceil(faster(ppb)))
+}
+
+/// What such a clock shows in 10⁹ of the system's.
+fn faster(ppb: i32) -> u128 {
+    u128::from((1_000_000_000 + i64::from(ppb)).unsigned_abs())
+}
+
+fn nanoseconds(ns: u128) -> Duration {
+    Duration::from_nanos(u64::try_from(ns).unwrap_or(u64::MAX))
+}
+
 /// Rounded down to 1/256 µs; 1000 ns are 256 steps, so 125 ns are 32.
 fn span_of(duration: Duration) -> Span {
     Span::from_steps(u64::try_from(duration.as_nanos() * 32 / 125).unwrap_or(u64::MAX))
@@ -73,8 +105,7 @@ fn span_of(duration: Duration) -> Span {
 
 /// Rounded up to a nanosecond, so that who waits this long does not come early.
 fn duration_of(span: Span) -> Duration {
-    let ns = (u128::from(span.steps()) * 125).div_ceil(32);
-    Duration::from_nanos(u64::try_from(ns).unwrap_or(u64::MAX))
+    nanoseconds((u128::from(span.steps()) * 125).div_ceil(32))
 }
 
 #[cfg(test)]
@@ -85,6 +116,20 @@ mod tests {
     fn a_microsecond_is_256_steps_both_ways() {
         assert_eq!(span_of(Duration::from_micros(3)), Span::from_us(3));
         assert_eq!(duration_of(Span::from_us(3)), Duration::from_micros(3));
+    }
+
+    #[test]
+    fn a_faster_clock_shows_more_and_waits_less_but_never_too_little() {
+        let second = Duration::from_secs(1);
+        assert_eq!(shown(second, 40_000), Duration::from_nanos(1_000_040_000));
+        for ppb in [-400_000_000, -40_000, 0, 1, 40_000, 900_000_000] {
+            let waits = awaited(second, ppb);
+            assert!(shown(waits, ppb) >= second, "{ppb}: {waits:?}");
+            // both roundings are of a nanosecond, and no rate is above 2
+            assert!(shown(waits, ppb) <= second + Duration::from_nanos(2), "{ppb}: {waits:?}");
+        }
+        let ahead = Clock::synthetic(Span::from_us(5_000_000), 0);
+        assert!(ahead.now() >= LocalTicks::from_us(5_000_000));
     }
 
     #[test]

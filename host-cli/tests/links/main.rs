@@ -2,9 +2,10 @@
 //!
 //! - **Walk:** one side's [`LinkHandle::send`] → the system → the other side's [`LinkEvent::Packet`].
 //! - **Invariants:** every wait is for an event and bounded by [`support::PATIENCE`]; nothing asserts how long something took.
-//! - **Clauses:** `[LNK-01]`, `[LNK-04]` to `[LNK-07]`, `[FRM-05]` to `[FRM-09]`.
+//! - **Clauses:** `[LNK-01]`, `[LNK-04]` to `[LNK-07]`, `[FRM-05]` to `[FRM-09]`, `[TIM-03]`.
 
 mod keyed;
+mod stamps;
 mod support;
 #[cfg(unix)]
 mod terminals;

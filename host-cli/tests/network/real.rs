@@ -1,6 +1,8 @@
 //! Over TCP to a device in real time. Nothing here depends on how long anything takes, but that it ends.
 
 use super::support::{Responder, alone, gateway};
+use fixed_math::time::Span;
+use osap::clocks::Clocks;
 use osap::core::EventKind;
 use osap::error::AskError;
 use osap::link::{self, Clock, LinkOptions};
@@ -9,6 +11,7 @@ use osap::network::NetworkSpec;
 use osap::scan::ScanOptions;
 use osap::session::{OpenOptions, Session};
 use osap_protocol::PortIndex;
+use osap_protocol::discovery::UniqueId;
 use osap_protocol::transport::Transport;
 use std::sync::mpsc::sync_channel;
 
@@ -85,6 +88,58 @@ fn a_link_to_nobody_is_no_hang() {
     let error = session.name(&there).unwrap_err();
     assert!(matches!(error, AskError::Send { .. }), "{error}");
     assert_eq!(there.port, PortIndex::NETRESPONDER);
+}
+
+/// Clocks of the host and the motor, once both are settled on one root; the tries are there to end a failure.
+fn settled(session: &mut Session) -> Clocks {
+    let map = session.scan(&ScanOptions::default(), &mut |_| {}).unwrap().map;
+    for _ in 0..1_000 {
+        let clocks = session.read_clocks(&map).unwrap();
+        if clocks.unsettled(Span::MAX).is_empty() {
+            return clocks;
+        }
+        session.network().pause(Span::from_us(20_000)).unwrap();
+    }
+    panic!("the clocks did not settle: {:?}", session.read_clocks(&map).unwrap())
+}
+
+/// `[TIM-07]`, `[TIM-09]`: nobody told the host to lead, so it follows, and what it measures itself is within both bounds and the round trip.
+#[test]
+fn a_host_follows_the_devices_time() {
+    let _turn = alone();
+    let (_motor, spec) = motor("axis-x");
+    let mut session = Session::open(&[spec], &OpenOptions::default()).unwrap();
+    let clocks = settled(&mut session);
+    let [host, motor] = [0, 1].map(|number| clocks.devices[number].as_ref().unwrap());
+    assert_eq!((host.status.tier, motor.status.tier), (1, 0));
+    assert_eq!(host.status.root, UniqueId([3; 12]));
+    let measured = motor.measured.unwrap();
+    let within = measured.within_steps + [host, motor].map(|clock| clock.bound().unwrap().steps()).iter().sum::<u64>();
+    // between the two readings lie a few milliseconds, in which a map is slewed by 500 ppm at most
+    let slewed = Span::from_us(100).steps();
+    assert!(measured.offset_steps.unsigned_abs() <= within + slewed, "{measured:?}, {within}");
+    assert_eq!(motor.refused.total() + host.refused.total(), 0);
+}
+
+/// `[TIM-07]`, `[TIM-14]`: a host that was told to lead is followed, and tells the time of day.
+#[test]
+fn a_host_that_was_told_to_leads() {
+    let _turn = alone();
+    let (_motor, spec) = motor("axis-x");
+    let mut session = Session::open(&[spec], &OpenOptions { root: Some(0), ..OpenOptions::default() }).unwrap();
+    let to = session.destination(&"/0".parse::<RouteText>().unwrap());
+    settled(&mut session);
+    let told = (0..1_000).find_map(|_| {
+        session.network().pause(Span::from_us(20_000)).unwrap();
+        let status = session.time_status(&to).unwrap().value;
+        status.unix_offset_us.map(|offset_us| (status, offset_us))
+    });
+    let (status, offset_us) = told.expect("the motor heard the time of day");
+    assert_eq!((status.tier, status.root_priority), (1, 0));
+    let system = session.time_control(&to).unwrap().value.system_time_steps / 256;
+    let unix_s = (i64::try_from(system).unwrap() + offset_us) / 1_000_000;
+    // of this century: that it is the computer's own time is not this test's to judge
+    assert!((946_684_800..4_102_444_800).contains(&unix_s), "{unix_s}");
 }
 
 /// What stands in a capture are the packets of the link.

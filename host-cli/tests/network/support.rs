@@ -61,7 +61,8 @@ impl Responder {
                 let mut packet = vec![0; 256];
                 if is_clear && let Some(outgoing) = motor.transmit(gateway(), clock.now(), &mut packet) {
                     packet.truncate(outgoing.len);
-                    is_clear = link.send(packet).is_err();
+                    let sent = if outgoing.is_stamped { link.send_stamped(packet) } else { link.send(packet) };
+                    is_clear = sent.is_err();
                 }
             }
             drop(events); // a reader that waits for room in the channel ends now, and can be joined

@@ -1,11 +1,14 @@
 //! Benchmarks, each a subcommand of `cargo xtask bench`: figures with their conditions, not tests.
 //!
 //! `runtime`: µs of CPU a message over 0 to 3 links. `overload`: commands beside telemetry at 120 % of a link, in virtual time. `scan`: a
-//! thousand nodes with loops. `clock`: how well clocks agree, in virtual time.
+//! thousand nodes with loops. `clock`: how well clocks agree, in virtual time. `clock-pty`: a host's clock over a
+//! real pseudo-terminal.
 #![forbid(unsafe_code)]
 
 mod clock;
 mod overload;
+#[cfg(unix)]
+mod pty;
 mod runtime;
 mod scan;
 
@@ -45,6 +48,27 @@ enum Bench {
         #[arg(long)]
         series: Option<PathBuf>,
     },
+    /// A host's clock over a real pseudo-terminal against a process with a synthetic counter, idle and under CPU load.
+    #[cfg(unix)]
+    ClockPty {
+        /// Seconds of each case.
+        #[arg(long, default_value_t = 60)]
+        seconds: u64,
+        /// Skew of the other process's counter, parts per 10⁹.
+        #[arg(long, default_value_t = 40_000, allow_negative_numbers = true)]
+        skew_ppb: i32,
+        /// The figures as JSON.
+        #[arg(long)]
+        json: bool,
+    },
+    /// What `clock-pty` starts beside itself.
+    #[cfg(unix)]
+    #[command(hide = true)]
+    ClockPtyChild {
+        role: pty::Role,
+        #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
+        skew_ppb: i32,
+    },
     /// A scan of a random network with loops: virtual time, packets, host time.
     Scan {
         /// Devices.
@@ -65,11 +89,17 @@ fn main() {
         Some(Bench::Overload { seconds }) => overload::run(seconds),
         Some(Bench::Scan { nodes, loops, seed }) => scan::run(nodes, loops, seed),
         Some(Bench::Clock { seeds, json, series }) => clock::run(seeds, &clock::Output::new(json, series)),
+        #[cfg(unix)]
+        Some(Bench::ClockPty { seconds, skew_ppb, json }) => pty::run(pty::Options { seconds, skew_ppb, json }),
+        #[cfg(unix)]
+        Some(Bench::ClockPtyChild { role, skew_ppb }) => pty::child(role, skew_ppb),
         None => {
             runtime::run(2_000_000);
             overload::run(10);
             scan::run(1_000, 200, 1);
             clock::run(30, &clock::Output::new(false, None));
+            #[cfg(unix)]
+            pty::run(pty::Options { seconds: 60, skew_ppb: 40_000, json: false });
         }
     }
 }

@@ -58,7 +58,7 @@ struct Change {
     #[arg(long, value_name = "RATE", value_parser = parse_ppb)]
     limit: Option<i32>,
     /// Offsets further off than this are not believed once the clock is settled
-    #[arg(long, value_name = "TIME", value_parser = parse_signed_steps)]
+    #[arg(long, value_name = "TIME", allow_hyphen_values = true, value_parser = parse_signed_steps)]
     gate: Option<i32>,
     /// Whose time is the network's: the lowest; 255 is never root
     #[arg(long, value_name = "NUMBER")]
