@@ -12,7 +12,7 @@ use osap_protocol::discovery::{TimeLink, UniqueId};
 use osap_protocol::time::{NO_BOUND, Root, TimeReply, TimeRequest, UnixOffset, unwrap_stamp};
 
 /// Requests to a neighbour that has just appeared, `[TIM-05]`.
-pub const BURST: u8 = 64;
+pub const BURST: u8 = 200;
 /// Between them, µs.
 pub const BURST_INTERVAL_US: u64 = 5_000;
 /// How much less often neighbours are asked that are no source, `[TIM-05]`.
