@@ -26,7 +26,10 @@ pub(super) struct Sample {
 pub(super) struct Case {
     name: &'static str,
     burners: usize,
+    asymmetry_us: f64,
     samples: usize,
+    /// With its sign: what no averaging takes away.
+    pub(super) mean_us: f64,
     rms_us: f64,
     /// p50, p99, p99.9, greatest.
     quantiles_us: [f64; 4],
@@ -39,7 +42,7 @@ pub(super) struct Case {
 }
 
 impl Case {
-    pub(super) fn of(name: &'static str, burners: usize, samples: &[Sample]) -> Self {
+    pub(super) fn of(name: &'static str, burners: usize, asymmetry_us: f64, samples: &[Sample]) -> Self {
         let steady: Vec<&Sample> =
             samples.iter().filter(|it| it.at_s >= SETTLED_AFTER_S && it.bound_us.is_some()).collect();
         let mut errors: Vec<f64> = steady.iter().map(|it| it.error_us.abs()).collect();
@@ -53,7 +56,9 @@ impl Case {
         Self {
             name,
             burners,
+            asymmetry_us,
             samples: errors.len(),
+            mean_us: steady.iter().map(|it| it.error_us).sum::<f64>() / count(errors.len()),
             rms_us: (square_sum / count(errors.len())).sqrt(),
             quantiles_us: [500, 990, 999, 1_000].map(|part| quantile(&errors, part).unwrap_or(f64::NAN)),
             reached_s: reached(samples),
@@ -69,7 +74,7 @@ impl Case {
             "network": format!("host over a pseudo-terminal, {}", self.name), "servo": "estimator", "hops": 1, "runs": 1,
             "real": "links, threads, scheduler, terminal of this computer",
             "simulated": "the root's counter: the kernel's clock with a synthetic offset and skew",
-            "burning_processes": self.burners, "samples": self.samples,
+            "burning_processes": self.burners, "asymmetry_us": self.asymmetry_us, "samples": self.samples, "mean_us": self.mean_us,
             "rms_us": self.rms_us, "p50_us": p50, "p99_us": p99, "p999_us": p999, "max_us": max,
             "below_100_us_s": self.reached_s,
             "bound_us": self.bound_us, "error_over_bound_max": self.ratio_max, "bound_violations": self.violations,
@@ -101,17 +106,32 @@ pub(super) fn print(options: Options, cores: usize, cases: &[Case]) {
         load_average().unwrap_or_else(|| "unknown".to_owned())
     );
     println!(
-        "{:<10}{:>8}{:>10}{:>9}{:>9}{:>9}{:>9}{:>9}{:>12}{:>9}{:>9}{:>10}",
-        "case", "burning", "samples", "rms", "p50", "p99", "p99.9", "max", "< 100 µs s", "bound", "err/bnd", "violated"
+        "{:<22}{:>8}{:>11}{:>9}{:>9}{:>9}{:>9}{:>9}{:>9}{:>9}{:>12}{:>9}{:>9}{:>10}",
+        "case",
+        "burning",
+        "asymmetry",
+        "samples",
+        "mean",
+        "rms",
+        "p50",
+        "p99",
+        "p99.9",
+        "max",
+        "< 100 µs s",
+        "bound",
+        "err/bnd",
+        "violated"
     );
     let maybe = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
     for it in cases {
         let [p50, p99, p999, max] = it.quantiles_us;
         println!(
-            "{:<10}{:>8}{:>10}{:>9.2}{p50:>9.2}{p99:>9.2}{p999:>9.2}{max:>9.2}{:>12}{:>9}{:>9}{:>10}",
+            "{:<22}{:>8}{:>11.2}{:>9}{:>9.2}{:>9.2}{p50:>9.2}{p99:>9.2}{p999:>9.2}{max:>9.2}{:>12}{:>9}{:>9}{:>10}",
             it.name,
             it.burners,
+            it.asymmetry_us,
             it.samples,
+            it.mean_us,
             it.rms_us,
             maybe(it.reached_s),
             maybe(it.bound_us),
@@ -163,7 +183,7 @@ mod tests {
     fn figures_are_of_the_steady_state_and_bounds_of_all() {
         let sample = |at_s: f64, error_us: f64| Sample { at_s, error_us, bound_us: Some(10.0) };
         let samples = [sample(0.5, 20.0), sample(2.0, -3.0), sample(3.0, 4.0), sample(4.0, 0.0)];
-        let case = Case::of("idle", 0, &samples);
+        let case = Case::of("idle", 0, 0.0, &samples);
         assert_eq!((case.samples, case.violations, case.ratio_max), (3, 1, Some(2.0)));
         assert_eq!(case.quantiles_us, [3.0, 4.0, 4.0, 4.0]);
         assert!((case.rms_us - (25.0f64 / 3.0).sqrt()).abs() < 1e-12);
