@@ -2,11 +2,12 @@
 //!
 //! - **Walk:** a session → [`Network::drive`] → the core → a frame at an outside port → the image → a frame back → the core.
 //! - **Invariants:** the core is the one that runs over real links. It takes no time itself: it acts at the end of the quantum, 2 µs at
-//!   most, in which something came. A frame is stamped with its first start bit, and sent where the last one ended.
+//!   most, in which something came. A frame is stamped when its first byte has come, as a UART would, and sent
+//!   where the last one ended.
 //! - **Context:** the caller's thread; nothing waits for a clock.
 //! - **Clauses:** `[LNK-01]`, `[FRM-08]`, `[NOD-12]`.
 
-use crate::cosim::{Cosim, CosimError, Event, Ns};
+use crate::cosim::{Cosim, CosimError, Event, NS_PER_S, Ns};
 use fixed_math::time::LocalTicks;
 use osap::core::{HostCore, HostIdentity};
 use osap::error::NetworkError;
@@ -86,6 +87,8 @@ struct HostLink {
     gateway: GatewayIndex,
     check: Check,
     busy_until_ns: Ns,
+    /// From the first start bit to the middle of the byte's stop bit, when a UART has it, rounded up.
+    first_byte_ns: Ns,
     deframer: Box<Deframer<{ PACKET_BYTES + 4 }>>,
 }
 
@@ -179,7 +182,8 @@ impl CosimNetwork {
             }
             Event::Frame { port, bytes, start_ns, end_ns } => {
                 if let Some(link) = self.links.iter_mut().find(|link| link.port == port) {
-                    deliver(&mut self.core, link, &bytes, ticks(start_ns), ticks(end_ns));
+                    let came_ns = (start_ns + link.first_byte_ns).min(end_ns);
+                    deliver(&mut self.core, link, &bytes, ticks(came_ns), ticks(end_ns));
                 }
                 let mut journal = self.journal.borrow_mut();
                 if journal.keeps_frames {
@@ -243,8 +247,11 @@ fn open_link(core: &mut HostCore, port: &HostPort, now: LocalTicks) -> Option<Ho
         stamps: Stamps::SOFTWARE,
     })?;
     core.set_link(gateway, None, now);
+    let half_bits_ns = |rate: u32| (19 * NS_PER_S).div_ceil(2 * Ns::from(rate));
+    let first_byte_ns = if port.bit_rate == 0 { 0 } else { half_bits_ns(port.bit_rate) };
     let (port, check) = (port.port.clone(), port.check);
-    Some(HostLink { port, gateway, check, busy_until_ns: 0, deframer: Box::new(Deframer::new(check)) })
+    let deframer = Box::new(Deframer::new(check));
+    Some(HostLink { port, gateway, check, busy_until_ns: 0, first_byte_ns, deframer })
 }
 
 fn deliver(core: &mut HostCore, link: &mut HostLink, bytes: &[u8], started: LocalTicks, ended: LocalTicks) {

@@ -22,8 +22,15 @@ use serde_json::json;
 use std::collections::BTreeMap;
 
 /// Tasks of the image and the interrupts that they are bound to.
-pub(super) const TASKS: [(&str, u32); 6] =
-    [("receive", RECEIVE), ("transmitted", 12), ("wake", 0), ("usb", 5), ("route", ROUTE), ("serve", 27)];
+pub(super) const TASKS: [(&str, u32); 7] = [
+    ("interpolate", 4),
+    ("receive", RECEIVE),
+    ("transmitted", 12),
+    ("wake", 0),
+    ("usb", 5),
+    ("route", ROUTE),
+    ("serve", 27),
+];
 
 /// Interrupts of two of them.
 const RECEIVE: u32 = 11;
