@@ -11,6 +11,7 @@ use board_rp2040_pico::{Board, UART_BAUD};
 use core::sync::atomic::{AtomicBool, Ordering};
 use firmware_app::kind::{self, Kind};
 use firmware_app::routing::{self, Links};
+use firmware_app::settings::Changes;
 use firmware_app::{Device, Link};
 use fixed_math::time::LocalTicks;
 use osap_protocol::discovery::{BuildKind, GatewayKind, Name, UniqueId};
@@ -137,15 +138,28 @@ pub struct Keeper {
 }
 
 impl Keeper {
-    /// Writes a new name, if there is one.
-    pub fn keep(&mut self, name: Option<Name>) {
+    /// Gives a node's clock what a former run kept of it.
+    #[cfg(feature = "settings")]
+    fn restore(&self, node: &mut PicoNode) {
+        if let Some(time) = self.settings.as_ref().and_then(firmware_app::settings::Settings::time) {
+            node.restore_time(time);
+        }
+    }
+
+    /// Writes what has changed.
+    pub fn keep(&mut self, changes: &Changes) {
         #[cfg(feature = "settings")]
-        if let (Some(settings), Some(name)) = (&mut self.settings, name) {
-            let _lasts_until_power_off = settings.set_name(&name);
+        if let Some(settings) = &mut self.settings {
+            let _lasts_until_power_off = settings.keep(changes);
         }
         #[cfg(not(feature = "settings"))]
-        let _lasts_until_power_off = name;
+        let _lasts_until_power_off = changes;
     }
+}
+
+/// What is to be kept, once; without settings nothing is.
+pub fn changes(node: &mut PicoNode) -> Changes {
+    if cfg!(feature = "settings") { Changes::take(node, clock::now()) } else { Changes::default() }
 }
 
 /// The node behind RTIC's lock.
@@ -206,6 +220,8 @@ pub fn start(peripherals: Peripherals) -> Parts {
         #[cfg(feature = "usb")]
         usb,
     };
+    #[cfg(feature = "settings")]
+    keeper.restore(&mut node);
     #[cfg(feature = "pace")]
     board.pace.start();
     #[cfg(feature = "watchdog")]

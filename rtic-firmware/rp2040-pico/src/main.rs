@@ -82,8 +82,8 @@ mod app {
     #[idle(local = [keeper], shared = [node])]
     fn idle(mut cx: idle::Context) -> ! {
         loop {
-            let name = cx.shared.node.lock(|node| node.take_new_name().and_then(|name| name.try_into().ok()));
-            cx.local.keeper.keep(name);
+            let changes = cx.shared.node.lock(crate::device::changes);
+            cx.local.keeper.keep(&changes);
             cortex_m::asm::wfi();
         }
     }
