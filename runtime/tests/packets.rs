@@ -11,6 +11,7 @@ use osap_runtime::ring::RxRing;
 use osap_runtime::{GatewayConfig, Mailbox, SendError};
 
 /// Three nodes in a line, 0 –(0:0)– 1 –(1:0)– 2.
+#[expect(clippy::large_stack_arrays, reason = "three nodes, on the stack of a test")]
 fn line(config: GatewayConfig) -> [TestNode; 3] {
     [node(0, &[config]), node(1, &[config, config]), node(2, &[config])]
 }

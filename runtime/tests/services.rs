@@ -5,7 +5,7 @@ mod common;
 use common::{FAST, TestNode, UART, ask, ask_raw, bus, carry, gateway, identity, node, port, read, us};
 use osap_protocol::discovery::{
     CounterPage, DebugPage, Event, GatewayKind, LinkInfo, Name, NeighbourChange, PortInfo, Query, Refusal, RuntimeInfo,
-    ScanId, TIER_FREE_RUNNING, TimeControl, TimeSettings, UniqueId, VERSION, Verbosity,
+    ScanId, TimeControl, TimeSettings, UniqueId, VERSION, Verbosity,
 };
 use osap_protocol::header::{Arrival, Terminal, emit};
 use osap_protocol::system::{ANNOUNCEMENT_VERSION, Announcement, NEIGHBOUR_TIMEOUT_US, SystemKey};
@@ -32,7 +32,8 @@ fn every_query_is_answered() {
     assert_eq!(page.verbosity, Verbosity::Packets);
     assert!(matches!(page.events[0].event, Event::Gateway { gateway: 0, open: true }));
     let time: TimeControl = ask(&mut a, Query::TimeControl, &(), now).unwrap();
-    assert_eq!((time.tier, time.interval_us, time.local_ticks_steps), (TIER_FREE_RUNNING, 50_000, 256_000));
+    // nobody else is there: it is its own root
+    assert_eq!((time.tier, time.interval_us, time.local_ticks_steps), (0, 50_000, 256_000));
     let settings = TimeSettings { interval_us: 20_000, ..osap_runtime::clock::DEFAULT_SETTINGS };
     ask::<_, ()>(&mut a, Query::SetTimeControl, &settings, now).unwrap();
     assert_eq!(ask::<_, TimeControl>(&mut a, Query::TimeControl, &(), now).unwrap().interval_us, 20_000);
@@ -274,6 +275,8 @@ fn announcements_keep_their_interval() {
     assert!(!a.has_output(gateway(0), us(249_999)) && a.has_output(gateway(0), us(250_000)));
     assert!(a.transmit(gateway(0), us(3_000_000), &mut out).is_some());
     assert!(a.transmit(gateway(0), us(3_000_000), &mut out).is_none());
+    // and what else was due: a root is settled by now, `[TIM-07]`
+    a.run(us(3_000_000));
     assert_eq!(a.next_wake(), Some(us(3_250_000)));
 }
 
