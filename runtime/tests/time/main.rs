@@ -4,3 +4,4 @@
 mod common;
 mod exchange;
 mod network;
+mod refusals;
