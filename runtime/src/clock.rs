@@ -113,6 +113,8 @@ pub struct Clock {
     steps: u16,
     root_changes: u16,
     dither: u32,
+    /// When there is something to do though nothing comes; the last instant there is where there is nothing.
+    due_at: LocalTicks,
     /// Settings or calibrations were changed and nobody has kept them yet.
     pub(crate) is_changed: bool,
     /// When rates were last kept.
@@ -143,6 +145,7 @@ impl Clock {
             steps: 0,
             root_changes: 0,
             dither: seed,
+            due_at: LocalTicks::from_us(ROOT_SETTLE_US),
             is_changed: false,
             kept_at: None,
         }
@@ -166,6 +169,7 @@ impl Clock {
             self.steering = Steering::of(settings.servo);
         }
         self.is_changed |= settings != self.settings;
+        self.due_at = LocalTicks::ZERO;
         self.settings = settings;
         if self.tier == 0 {
             self.root.priority = settings.priority;
@@ -268,14 +272,19 @@ impl Clock {
         self.settings.servo == ServoKind::Oldest || tier < self.tier
     }
 
-    /// When there is something to do though nothing comes: news grow too old, or a root is settled.
-    pub(crate) fn next_wake(&self) -> Option<LocalTicks> {
-        if self.tier == 0 || self.tier == TIER_FREE_RUNNING {
-            (!self.is_settled && self.tier == 0).then(|| self.since + Span::from_us(ROOT_SETTLE_US))
-        } else {
-            let (age_us, at) = self.news;
-            let left_us = self.age_max_us().saturating_sub(u64::from(age_us));
-            Some(at + Span::from_us(left_us) + Span::from_us(1))
+    /// When [`Clock::follow`] is to be called though nothing comes.
+    #[inline]
+    pub(crate) const fn due_at(&self) -> LocalTicks {
+        self.due_at
+    }
+
+    /// When news grow too old, or a root is settled.
+    fn next_due(&self) -> LocalTicks {
+        let (age_us, at) = self.news;
+        match self.tier {
+            0 if !self.is_settled => self.since + Span::from_us(ROOT_SETTLE_US),
+            0 | TIER_FREE_RUNNING => LocalTicks::MAX,
+            _ => at + Span::from_us(self.age_max_us().saturating_sub(age_us.into())) + Span::from_us(1),
         }
     }
 
@@ -297,6 +306,7 @@ impl Clock {
             changes.root = true;
         }
         self.take_unix(gateways);
+        self.due_at = self.next_due();
         changes
     }
 

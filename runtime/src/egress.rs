@@ -65,19 +65,16 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         send: impl FnOnce(Departure<'_>) -> R,
     ) -> Option<R> {
         let gateway = self.gateways.get(index.at()).filter(|gateway| gateway.open)?;
-        // one message of the node's own between two packets at the most, however often a neighbour asks
-        let yields = gateway.announced_last && gateway.waiting > 0;
-        let announces = !yields && gateway.announce_at.is_some_and(|at| at <= now);
+        if gateway.announces(now) && !gateway.yields() {
+            let mut announcement = [0; MTU_BYTES_MIN as usize];
+            if let Some(Outgoing { len, to, is_stamped }) = self.announce(index, now, &mut announcement) {
+                return Some(send(Departure { packet: announcement.get_mut(..len.min(limit_bytes))?, to, is_stamped }));
+            }
+        }
         if self.has_time_message(index, now) {
             let mut message = [0; TIME_BYTES_MAX];
             if let Some(Outgoing { len, to, is_stamped }) = self.time_message(index, now, &mut message) {
                 return Some(send(Departure { packet: message.get_mut(..len.min(limit_bytes))?, to, is_stamped }));
-            }
-        }
-        if announces {
-            let mut announcement = [0; MTU_BYTES_MIN as usize];
-            if let Some(Outgoing { len, to, is_stamped }) = self.announce(index, now, &mut announcement) {
-                return Some(send(Departure { packet: announcement.get_mut(..len.min(limit_bytes))?, to, is_stamped }));
             }
         }
         self.expire(now);

@@ -7,6 +7,7 @@
 use crate::clock::Changes;
 use crate::egress::Outgoing;
 use crate::node::Node;
+use crate::peer::Owed;
 use fixed_math::time::{LocalTicks, Rate, Span};
 use osap_protocol::discovery::{ClockChange, Event, GatewayKind, KeptTime, Verbosity};
 use osap_protocol::header::{Arrival, SYSTEM_HEADER_BYTES, Terminal, emit};
@@ -23,11 +24,13 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
     /// Whether the next packet that [`Node::transmit`] gives for `gateway` is about time, and so wants its stamp: a link whose transmitter
     /// is not idle lets it wait until it is, `[TIM-03]`.
     #[must_use]
+    #[inline]
     pub fn has_time_message(&self, index: GatewayIndex, now: LocalTicks) -> bool {
         self.gateways.get(index.at()).is_some_and(|gateway| {
             let yields = gateway.announced_last && gateway.waiting > 0;
-            let is_due = gateway.peer.owed.is_some() || gateway.peer.request_at.is_some_and(|at| at <= now);
-            gateway.open && is_due && !yields && usize::from(gateway.config.mtu_bytes) >= TIME_BYTES_MAX
+            // an announcement goes first, or a neighbour that asks without end would never hear of this node
+            let announces = gateway.announce_at.is_some_and(|at| at <= now);
+            now >= gateway.peer.due_at() && gateway.open && !yields && !announces
         })
     }
 
@@ -38,7 +41,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         let gateway = self.gateways.get_mut(index.at())?;
         let mut route = RouteBuf::new();
         route.push(Step::Link(index)).ok()?;
-        let owed = gateway.peer.owed.take();
+        let owed = gateway.peer.take_owed();
         let key = if owed.is_some() { SystemKey::TimeReply } else { SystemKey::TimeRequest };
         let terminal = Terminal::System { key: key.key() };
         let at = emit(out, ANNOUNCE_TTL_US, gateway.config.mtu_bytes, route.as_route(), terminal).ok()?;
@@ -70,7 +73,10 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         if key == SystemKey::TimeRequest {
             let (TimeRequest { sequence }, asked_slot) = TimeRequest::decode(payload)?;
             let gateway = self.gateways.get_mut(index.at()).ok_or(DropCause::NoSuchGateway)?;
-            gateway.peer.owed = Some(crate::peer::Owed { sequence, asked_slot, heard: started });
+            if usize::from(gateway.config.mtu_bytes) < TIME_BYTES_MAX {
+                return Err(DropCause::OverMtu);
+            }
+            gateway.peer.owe(Owed { sequence, asked_slot, heard: started });
             return Ok(());
         }
         let reply = TimeReply::decode(payload)?;
@@ -146,7 +152,11 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
     pub(crate) fn time_of_neighbour(&mut self, index: GatewayIndex, now: LocalTicks) {
         let Some(gateway) = self.gateways.get_mut(index.at()) else { return };
         match gateway.heard {
-            Some(heard) if gateway.config.kind == GatewayKind::Link => {
+            // what could not be answered is not asked either
+            Some(heard)
+                if gateway.config.kind == GatewayKind::Link
+                    && usize::from(gateway.config.mtu_bytes) >= TIME_BYTES_MAX =>
+            {
                 gateway.peer.appeared(heard.neighbour.unique_id, heard.neighbour.boot_epoch, now);
             }
             _ => gateway.peer.lost(),

@@ -129,6 +129,16 @@ impl Gateway {
         self.rate.time(self.config.frame_bytes_max(packet_len))
     }
 
+    /// One message of the node's own goes between two packets at the most, however often a neighbour asks.
+    pub(crate) const fn yields(&self) -> bool {
+        self.announced_last && self.waiting > 0
+    }
+
+    /// Whether an announcement is due.
+    pub(crate) fn announces(&self, now: LocalTicks) -> bool {
+        self.announce_at.is_some_and(|at| at <= now)
+    }
+
     /// Whether it can carry packets.
     #[must_use]
     pub const fn is_open(&self) -> bool {

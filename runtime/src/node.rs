@@ -216,6 +216,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         gateway.announce_at = open.then_some(now);
         self.debug.record(Verbosity::Events, now, || Event::Gateway { gateway: index.get(), open });
         if !open {
+            self.gateways[index.at()].peer.lost();
             self.neighbour_lost(index, now);
             while let Some(id) = self.stack.take_for(&mut self.pool, Taker::Gateway(index)) {
                 self.leave_stack(&id);
@@ -259,7 +260,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         if now >= self.silence_at {
             self.notice_silence(now);
         }
-        if self.clock.next_wake().is_some_and(|at| at <= now) {
+        if now >= self.clock.due_at() {
             self.keep_time(now);
         }
         self.answer_queries(now);
@@ -290,10 +291,9 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
     pub fn next_wake(&self) -> Option<LocalTicks> {
         let expiry = self.stack.earliest_deadline(&self.pool);
         let announcements = self.gateways.iter().filter_map(|gateway| gateway.announce_at);
-        let requests =
-            self.gateways.iter().filter(|gateway| gateway.open).filter_map(|gateway| gateway.peer.request_at);
-        let silence = (self.silence_at < LocalTicks::MAX).then_some(self.silence_at);
-        announcements.chain(requests).chain(silence).chain(expiry).chain(self.clock.next_wake()).min()
+        let time = self.gateways.iter().map(|gateway| gateway.peer.due_at());
+        let own = announcements.chain(time).chain([self.silence_at, self.clock.due_at()]).min();
+        own.into_iter().chain(expiry).min().filter(|at| *at < LocalTicks::MAX)
     }
 
     /// Drops every stacked packet whose deadline has come, `[NOD-04]`.

@@ -62,16 +62,21 @@ pub(crate) struct Peer {
     of: Option<(UniqueId, u32)>,
     /// The rate of a device's counter as a former run knew it.
     pub(crate) kept: Option<(UniqueId, Rate)>,
+    /// When there is something to be sent, a reply or a request; the last instant there is where there is nothing. All that a packet's way
+    /// has to look at.
+    due_at: LocalTicks,
     /// When to ask next.
-    pub(crate) request_at: Option<LocalTicks>,
+    request_at: Option<LocalTicks>,
     open: Option<Open>,
-    pub(crate) owed: Option<Owed>,
+    owed: Option<Owed>,
     pub(crate) said: Option<Said>,
     /// System time as of what was said last, composed once: what takes thousands of cycles on a device is not done for each look.
     estimate: Option<Estimate>,
     sequence: u8,
     burst: u8,
     outliers: u8,
+    /// One of the two counters runs on no crystal: no rate of crystals explained what was heard.
+    is_rc: bool,
     /// Its system time less ours at the last exchange, and its average.
     pub(crate) offset_steps: i64,
     pub(crate) filtered_steps: Option<i64>,
@@ -86,6 +91,7 @@ impl Peer {
             asymmetry_steps: 0,
             of: None,
             kept: None,
+            due_at: LocalTicks::MAX,
             request_at: None,
             open: None,
             owed: None,
@@ -94,6 +100,7 @@ impl Peer {
             sequence: 0,
             burst: 0,
             outliers: 0,
+            is_rc: false,
             offset_steps: 0,
             filtered_steps: None,
             unanswered: 0,
@@ -106,17 +113,42 @@ impl Peer {
         if self.of != Some((who, boot_epoch)) {
             self.keep_rate();
             self.of = Some((who, boot_epoch));
+            self.is_rc = false;
             self.forget();
         }
         self.burst = BURST;
-        self.request_at = Some(now);
+        self.ask_at(Some(now));
+    }
+
+    /// When there is something to be sent.
+    #[inline]
+    pub(crate) const fn due_at(&self) -> LocalTicks {
+        self.due_at
+    }
+
+    fn ask_at(&mut self, at: Option<LocalTicks>) {
+        self.request_at = at;
+        self.due_at = if self.owed.is_some() { LocalTicks::ZERO } else { at.unwrap_or(LocalTicks::MAX) };
+    }
+
+    /// A request has come: its answer is to be sent as soon as the gateway is free.
+    pub(crate) fn owe(&mut self, owed: Owed) {
+        self.owed = Some(owed);
+        self.due_at = LocalTicks::ZERO;
+    }
+
+    /// The answer that is owed, to be sent now.
+    pub(crate) fn take_owed(&mut self) -> Option<Owed> {
+        let owed = self.owed.take();
+        self.ask_at(self.request_at);
+        owed
     }
 
     /// It is asked no more; what is known of it stays, in case it comes back.
     pub(crate) fn lost(&mut self) {
-        self.request_at = None;
-        self.open = None;
         self.owed = None;
+        self.ask_at(None);
+        self.open = None;
         self.said = None;
         self.filtered_steps = None;
     }
@@ -133,7 +165,7 @@ impl Peer {
     /// Sets how much longer the way there is than the way back, and begins anew with it, `[TIM-13]`.
     pub(crate) fn calibrate(&mut self, asymmetry_steps: i32, stamps: Stamps) {
         self.asymmetry_steps = asymmetry_steps;
-        self.link = LinkClock::new(traits(stamps, Span::ZERO, asymmetry_steps, LinkTraits::CRYSTAL));
+        self.link = LinkClock::new(traits(stamps, Span::ZERO, asymmetry_steps, self.oscillators()));
         self.forget();
     }
 
@@ -150,7 +182,7 @@ impl Peer {
         self.burst = self.burst.saturating_sub(1);
         // 7/8 to 9/8 of it
         let part = (interval_us >> 2).saturating_mul(u64::from(dither >> 16)) >> 16;
-        self.request_at = Some(now + Span::from_us(interval_us - (interval_us >> 3) + part));
+        self.ask_at(Some(now + Span::from_us(interval_us - (interval_us >> 3) + part)));
         TimeRequest { sequence: self.sequence }
     }
 
@@ -158,7 +190,7 @@ impl Peer {
     pub(crate) fn hurry(&mut self, now: LocalTicks) {
         if self.request_at.is_some() {
             self.burst = BURST;
-            self.request_at = Some(now);
+            self.ask_at(Some(now));
         }
     }
 
@@ -180,7 +212,7 @@ impl Peer {
         self.check_tier(reply, me)?;
         let peer_tick = Span::from_steps(u64::from(reply.tick_steps));
         if self.link.exchanges() == 0 {
-            self.link = LinkClock::new(traits(stamps, peer_tick, self.asymmetry_steps, LinkTraits::CRYSTAL));
+            self.link = LinkClock::new(traits(stamps, peer_tick, self.asymmetry_steps, self.oscillators()));
             self.forget();
         }
         let exchange = Exchange { sent, heard: reply.heard, answered: reply.answered(), received };
@@ -233,9 +265,15 @@ impl Peer {
         self.outliers += 1;
         if self.outliers >= OUTLIERS_MAX {
             self.kept = None;
-            self.link = LinkClock::new(traits(stamps, peer_tick, self.asymmetry_steps, LinkTraits::RC));
+            self.is_rc = true;
+            self.link = LinkClock::new(traits(stamps, peer_tick, self.asymmetry_steps, self.oscillators()));
             self.forget();
         }
+    }
+
+    /// What is promised of the two counters' rates.
+    const fn oscillators(&self) -> LinkTraits {
+        if self.is_rc { LinkTraits::RC } else { LinkTraits::CRYSTAL }
     }
 
     /// Only a root is its own root, and it has heard itself just now.
@@ -251,7 +289,10 @@ impl Peer {
 
     /// Takes the offset of the last exchange into the average, `[TIM-11]`.
     pub(crate) fn average(&mut self, offset_steps: i64, weight_q16: i32) {
-        self.outliers = 0;
+        // the first after a restart agrees with nothing yet
+        if self.link.exchanges() > 1 {
+            self.outliers = 0;
+        }
         self.offset_steps = offset_steps;
         self.filtered_steps = Some(self.filtered_steps.map_or(offset_steps, |was| ewma(was, offset_steps, weight_q16)));
     }
