@@ -187,7 +187,8 @@ impl Clock {
     /// System time at `local`, its bound as of then.
     #[must_use]
     pub fn system_time(&self, local: LocalTicks) -> SystemTime {
-        SystemTime { at: self.map.system_at(local), bound: self.bound_at(local), is_settled: self.is_settled }
+        let at = self.map.system_at(local);
+        SystemTime { at, bound: self.bound_of(at, local), is_settled: self.is_settled }
     }
 
     /// The map from the counter to system time.
@@ -236,8 +237,13 @@ impl Clock {
     /// still turn out wrong.
     #[must_use]
     pub fn bound_at(&self, local: LocalTicks) -> Option<Span> {
-        let off = self.map.system_at(local).steps_after(self.estimate.line.system_at(local)).unsigned_abs();
-        self.estimate_bound_at(local).and_then(|bound| given(bound + Span::from_steps(off)))
+        self.bound_of(self.map.system_at(local), local)
+    }
+
+    /// That of `system`, which is what the map makes of `local`.
+    fn bound_of(&self, system: NetTime, local: LocalTicks) -> Option<Span> {
+        let bound = self.estimate_bound_at(local)?;
+        given(bound + Span::from_steps(system.steps_after(self.estimate.line.system_at(local)).unsigned_abs()))
     }
 
     /// That of what it is slewed to.

@@ -66,13 +66,14 @@ impl Clock {
             interval_us, filter_q16, proportional_q16, integral_q16, skew_limit_ppb, gate_steps, ..
         } = self.settings;
         let source = gateways.get(self.sources.trailing_zeros() as usize).map(|gateway| &gateway.peer);
+        let system = self.map.system_at(now);
         TimeControl {
-            system_time_steps: self.map.system_at(now).steps(),
+            system_time_steps: system.steps(),
             local_ticks_steps: now.steps(),
             interval_us,
             offset_steps: source.map_or(0, |peer| clamp(peer.offset_steps)),
             skew_ppb: self.map.rate_at(now).ppb(),
-            bound_steps: self.bound_at(now).map_or(-1, |bound| clamp(bound.steps().cast_signed())),
+            bound_steps: self.bound_of(system, now).map_or(-1, |bound| clamp(bound.steps().cast_signed())),
             round_trip_steps: source.map_or(0, |peer| clamp(peer.link.round_trip().steps().cast_signed())),
             round_trip_min_steps: source.map_or(0, |peer| clamp(peer.link.round_trip_min().steps().cast_signed())),
             filter_q16,
@@ -133,10 +134,11 @@ impl Clock {
     /// Both clocks at `now`, where time is settled, `[TIM-15]`.
     #[must_use]
     pub(crate) fn mark(&self, now: LocalTicks) -> Option<ClockMark> {
-        let bound = self.bound_at(now).filter(|_| self.is_settled)?;
+        let system = self.map.system_at(now);
+        let bound = self.bound_of(system, now)?;
         Some(ClockMark {
             local_steps: now.steps(),
-            system_steps: self.map.system_at(now).steps(),
+            system_steps: system.steps(),
             rate_ppb: self.map.rate_at(now).ppb(),
             bound_steps: cut(bound.steps()),
         })
