@@ -5,3 +5,4 @@ mod common;
 mod exchange;
 mod network;
 mod refusals;
+mod steering;

@@ -203,7 +203,9 @@ fn equal_ways_are_averaged() {
     net.run_for(3_000_000);
     assert_eq!(net.roots(), [(1, 0), (1, 1), (1, 1), (1, 2)]);
     assert_eq!(net.status(3).sources, 0b11);
-    assert_eq!(net.status(1).sources, 0b1, "its equal at gateway 2 is no source");
+    for at in [1, 2] {
+        assert_eq!(net.status(at).sources, 0b1, "their equals at gateway 2 are no sources");
+    }
     net.assert_within_bounds(0, &[1, 2, 3]);
     // either alone would be 4 µs off, as below
     assert!(net.ahead_us(3, 0).abs() <= 1, "{}", net.ahead_us(3, 0));
@@ -305,6 +307,22 @@ fn unix_time_spreads() {
     assert_eq!(net.status(1).unix_offset_us, None);
     assert_eq!(net.status(0).root, UniqueId([1; 12]));
     assert!(net.status(0).unix_offset_us.is_some());
+}
+
+/// `[TIM-14]`: of two hosts' offers each node takes that of the nearer one.
+#[test]
+fn the_nearer_hosts_unix_time_is_taken() {
+    let mut net = Network::new(&[(900_000, 0), (0, 0), (0, 0), (0, 0)], &[(0, 1), (1, 2), (2, 3)]);
+    net.run_for(2_000_000);
+    for (at, unix_us) in [(0, 1_790_000_000_000_000), (3, 1_790_000_100_000_000)] {
+        let now = net.local(at);
+        net.seats[at].node.clock_mut().offer_unix(unix_us, now);
+    }
+    net.run_for(3_000_000);
+    let offsets: Vec<i64> = (0..4).map(|at| net.status(at).unix_offset_us.unwrap()).collect();
+    assert_eq!(offsets[0], offsets[1]);
+    assert_eq!(offsets[2], offsets[3]);
+    assert_eq!((offsets[2] - offsets[1] + 500_000) / 1_000_000, 100);
 }
 
 /// `[TIM-13]`: what is longer there than back moves the estimate by half of that, unless it is calibrated, which all links of the type

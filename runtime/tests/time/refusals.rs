@@ -13,17 +13,17 @@ use osap_runtime::clock::AGE_MAX_US;
 /// The forged neighbour's counter, and so its system time, is ahead by so much: it is older, and so the root.
 const AHEAD_US: u64 = 10_000_000;
 const ME: UniqueId = UniqueId([5; 12]);
-const IT: UniqueId = UniqueId([9; 12]);
+pub(crate) const IT: UniqueId = UniqueId([9; 12]);
 
 /// A node whose neighbour's every word is made up.
-struct Forger {
-    node: TestNode,
-    at_us: u64,
+pub(crate) struct Forger {
+    pub(crate) node: TestNode,
+    pub(crate) at_us: u64,
     sequence: u8,
 }
 
 impl Forger {
-    fn new() -> Self {
+    pub(crate) fn new() -> Self {
         assert_eq!(identity(5).unique_id, ME);
         let mut it = Self { node: node(5, &[UART]), at_us: 1_000, sequence: 0 };
         it.announce();
@@ -55,13 +55,16 @@ impl Forger {
 
     /// Lets the node ask, 60 ms after it did last, and makes an honest answer of a root that has been settled for long: 20 µs there, 50
     /// to answer, 20 back.
-    fn asked(&mut self) -> TimeReply {
-        self.at_us += 60_000;
-        self.announce();
-        self.node.run(us(self.at_us));
+    pub(crate) fn asked(&mut self) -> TimeReply {
         let mut packet = [0; BYTES];
-        for _ in 0..4 {
-            let out = self.node.transmit(gateway(0), us(self.at_us), &mut packet).expect("it asks");
+        // a root asks only every eighth interval
+        for _ in 0..64 {
+            let Some(out) = self.node.transmit(gateway(0), us(self.at_us), &mut packet) else {
+                self.at_us += 60_000;
+                self.announce();
+                self.node.run(us(self.at_us));
+                continue;
+            };
             let payload = &packet[SYSTEM_HEADER_BYTES + 1..out.len];
             if out.is_stamped
                 && let Ok((TimeRequest { sequence }, slot)) = TimeRequest::decode(payload)
@@ -85,21 +88,21 @@ impl Forger {
         panic!("no request came")
     }
 
-    fn say(&mut self, reply: &TimeReply) -> Result<(), DropCause> {
+    pub(crate) fn say(&mut self, reply: &TimeReply) -> Result<(), DropCause> {
         let mut payload = [0; TimeReply::LEN];
         reply.encode(&mut payload).unwrap();
         self.message(SystemKey::TimeReply, &payload)
     }
 
     /// `count` honest exchanges.
-    fn honest(&mut self, count: usize) {
+    pub(crate) fn honest(&mut self, count: usize) {
         for _ in 0..count {
             let reply = self.asked();
             self.say(&reply).unwrap();
         }
     }
 
-    fn status(&mut self) -> TimeStatus {
+    pub(crate) fn status(&mut self) -> TimeStatus {
         ask(&mut self.node, Query::TimeStatus, &(), us(self.at_us)).unwrap()
     }
 
