@@ -116,10 +116,10 @@ fn what_is_wrong_has_its_name_and_clause() {
         ("06 e8 03 40 00 41 02 01 01", "system-malformed", "SYS-05"),
         ("06 e8 03 40 00 41 02 02 01 02 03 04 05 06 07 08 09 0a 0b 0c 07 01 00", "system-malformed", "SYS-05"),
         ("06 e8 03 40 00 41 c0 18 00 01 05 00 01", "query-malformed", "DSC-02"),
-        ("06 e8 03 40 00 41 00 01 07 00 01 00", "system-malformed", "TIM-01"),
+        ("06 e8 03 40 00 41 00 01 07 ff 00 01 00", "system-malformed", "TIM-01"),
         ("06 e8 03 40 00 41 00 02 07 00 01 00 00", "system-malformed", "TIM-01"),
         ("06 e8 03 40 00 41 01 01 07 00 01 00 00", "system-malformed", "TIM-02"),
-        ("07 e8 03 40 00 41 42 00 01 07 00 01 00 00", "system-malformed", "TIM-01"),
+        ("07 e8 03 40 00 41 42 00 01 07 ff 00 01 00 00", "system-malformed", "TIM-01"),
     ] {
         let explanation = explained(hex, Options::Packet);
         let found: Vec<_> = explanation.problems.iter().map(|it| (it.drop_cause, it.clause)).collect();
@@ -216,7 +216,7 @@ fn answers_are_read_down_to_their_values() {
 /// `[TIM-01]`, `[TIM-02]`: both messages down to their slots, with what stands in them in µs.
 #[test]
 fn messages_about_time_are_read_down_to_their_slots() {
-    let asked = explained("06 ff ff 80 00 41 00 01 07 00 01 00 00", Options::Packet);
+    let asked = explained("06 ff ff 80 00 41 00 01 07 ff 00 01 00 00", Options::Packet);
     let slot = asked.field("departed").unwrap();
     assert_eq!((slot.value.as_str(), slot.note.as_str()), ("256 steps", "1.000 µs"));
     let said = TimeReply {
