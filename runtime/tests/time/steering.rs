@@ -3,7 +3,7 @@
 use crate::common::{ask, us};
 use crate::network::Network;
 use crate::refusals::{Forger, IT};
-use osap_protocol::discovery::{ClockChange, DebugPage, Event, Query};
+use osap_protocol::discovery::{ClockChange, DebugPage, Event, Query, UniqueId};
 use osap_runtime::clock::{AGE_MAX_US, DEFAULT_SETTINGS};
 
 /// `[TIM-10]`: where nothing is live a root that is 5 ms on is set to at once, which is counted and told; where something is live the
@@ -44,6 +44,25 @@ fn live_clocks_are_slewed_and_others_set() {
         }
         assert_eq!((it.status().steps, told), (steps + u16::from(!live), !live));
     }
+}
+
+/// `[TIM-06]`, `[TIM-10]`: a live clock that has a second to go to another root's time goes on believing that root all the way, though its
+/// own time is further off than the gate.
+#[test]
+fn a_long_way_to_go_is_not_absurd() {
+    let mut it = Forger::new();
+    it.honest(60);
+    it.node.clock_mut().set_live(true);
+    for _ in 0..100 {
+        let mut reply = it.asked();
+        (reply.tier, reply.root.priority, reply.root.unique_id) = (1, 64, UniqueId([7; 12]));
+        reply.system = reply.system.shifted(1_000_000 << 8);
+        it.say(&reply).unwrap();
+        assert_eq!((it.node.clock().tier(), it.node.clock().root().unique_id), (2, UniqueId([7; 12])));
+    }
+    let behind = it.status().behind_steps;
+    // 6 s at 500 ppm are 3 ms
+    assert!(((1_000_000 - 3_300) << 8..(1_000_000 - 2_700) << 8).contains(&behind), "{behind}");
 }
 
 /// `[TIM-09]`: a settled clock takes nothing from a neighbour that is not settled, which has no bound to tell; it would rather be root.

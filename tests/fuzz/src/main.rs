@@ -1,4 +1,4 @@
-//! Seeded fuzzing: `cargo xtask fuzz --inputs N --seed S --target frame|header|node|all`.
+//! Seeded fuzzing: `cargo xtask fuzz --inputs N --seed S --target frame|header|node|time|all`.
 //!
 //! Each input is random bytes, a well-formed packet or frame, or one of these mutated. After each, the target's invariants are
 //! asserted; a finding prints target, seed and input number, which repeat it. Finding nothing is reported with the count of inputs that got
@@ -7,11 +7,13 @@
 
 mod inputs;
 mod targets;
+mod time;
 
 use clap::{Parser, ValueEnum};
 use std::process::ExitCode;
 use std::time::Instant;
 use targets::{FrameTarget, HeaderTarget, NodeTarget, Target};
+use time::TimeTarget;
 
 /// What is fed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -19,10 +21,11 @@ enum Which {
     Frame,
     Header,
     Node,
+    Time,
     All,
 }
 
-/// Seeded fuzzing of frame, header and node ingress.
+/// Seeded fuzzing of frame, header, node ingress and the exchange of time.
 #[derive(Parser)]
 struct Args {
     /// Inputs for each target.
@@ -48,6 +51,9 @@ fn main() -> ExitCode {
     }
     if wants(Which::Node) {
         targets.push(Box::new(NodeTarget::new()));
+    }
+    if wants(Which::Time) {
+        targets.push(Box::new(TimeTarget::new()));
     }
     let mut findings = 0;
     for mut target in targets {
@@ -138,5 +144,9 @@ mod tests {
         let mut header = HeaderTarget::new();
         assert!(!run(&mut header, 5_000, 7));
         assert!(header.routable() > 1_000, "{}", header.reached());
+        let mut time = TimeTarget::new();
+        assert!(!run(&mut time, 20_000, 7));
+        let (believed, refused) = time.outcomes();
+        assert!(believed > 2_000 && refused > 200, "{}", time.reached());
     }
 }
