@@ -113,7 +113,7 @@ impl TimeTarget {
         while let Some(out) = self.node.transmit(GATEWAY, self.at, &mut packet) {
             let payload = packet.get(SYSTEM_HEADER_BYTES + 1..out.len)?;
             if out.is_stamped
-                && let Ok((TimeRequest { sequence }, slot)) = TimeRequest::decode(payload)
+                && let Ok((TimeRequest { sequence, .. }, slot)) = TimeRequest::decode(payload)
             {
                 return Some((sequence, slot));
             }
