@@ -269,7 +269,8 @@ const TIME_ASYMMETRY: &[Item] = &[item("type name", NAME), signed("asymmetry", U
 const SEQUENCE: Item = item("sequence", Shape::Byte);
 
 /// Body of a time request, `[TIM-01]`.
-pub(super) const TIME_REQUEST: &[Item] = &[VERSION, SEQUENCE, item("departed", Shape::Fixed(Width::U32, Unit::Steps))];
+pub(super) const TIME_REQUEST: &[Item] =
+    &[VERSION, SEQUENCE, item("below tier", Shape::Byte), item("departed", Shape::Fixed(Width::U32, Unit::Steps))];
 
 /// Body of a time reply, `[TIM-02]`.
 pub(super) const TIME_REPLY: &[Item] = &[

@@ -219,12 +219,11 @@ pub(super) const fn reply_bytes(query: Query) -> usize {
         Query::RuntimeInfo => 62,
         Query::TypeName | Query::RuntimeName => 35,
         Query::LinkInfo => 90,
-        Query::PortInfo => 80,
+        Query::PortInfo | Query::TimeLink => 80,
         Query::DebugMessages => 2 + BODY_BYTES_MAX,
         Query::TimeControl => 63,
         Query::Counters => 86,
         Query::TimeStatus => 100,
-        Query::TimeLink => 80,
         Query::SetRuntimeName | Query::SetDebugVerbosity | Query::SetTimeControl | Query::SetTimeAsymmetry => 3,
     }
 }

@@ -19,6 +19,9 @@ const STYLE: &str =
 /// What one curve shows of a sample.
 type Value = fn(&Sample) -> Option<f64>;
 
+/// The lowest and the highest decade of an axis.
+type Decades = (f64, f64);
+
 /// The page: plots of all devices together, then the tables as they were last.
 pub(super) fn page(
     title: &str,
@@ -32,8 +35,7 @@ pub(super) fn page(
         escaped(title)
     );
     let decades = history.decades();
-    let size = |us: f64| log(us);
-    let plots: [(&str, Value, Option<(f64, f64)>); 3] = [
+    let plots: [(&str, Value, Option<Decades>); 3] = [
         ("Published bound", |it| it.bound_us, Some(decades)),
         ("Offset to the neighbour it follows, without its sign", |it| it.offset_us, Some(decades)),
         ("Skew of system time against the own counter, ppm", |it| Some(it.skew_ppm), None),
@@ -44,7 +46,7 @@ pub(super) fn page(
             .iter()
             .map(|row| {
                 let shown = row.iter().filter_map(|it| Some((it.at_s, value(it)?)));
-                shown.map(|(at, value)| (at, if log_range.is_some() { size(value) } else { value })).collect()
+                shown.map(|(at, value)| (at, if log_range.is_some() { log(value) } else { value })).collect()
             })
             .collect();
         let svg = plot(labels, &curves, history.end_s(), log_range).map_err(|error| error.to_string())?;
@@ -63,7 +65,7 @@ fn plot(
     labels: &[String],
     curves: &[Vec<(f64, f64)>],
     end_s: f64,
-    log_range: Option<(f64, f64)>,
+    log_range: Option<Decades>,
 ) -> Result<String, Box<dyn std::error::Error>> {
     let values = || curves.iter().flatten().map(|(_, value)| *value);
     let (low, high) = log_range.unwrap_or_else(|| {

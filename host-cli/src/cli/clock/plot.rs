@@ -55,7 +55,7 @@ impl History {
     pub(super) fn push(&mut self, at_s: f64, clocks: &Clocks) {
         let look = self.looks;
         self.looks += 1;
-        if look % self.every != 0 {
+        if !look.is_multiple_of(self.every) {
             return;
         }
         for (row, clock) in self.devices.iter_mut().zip(&clocks.devices) {

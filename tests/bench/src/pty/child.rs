@@ -123,7 +123,7 @@ fn root(skew_ppb: i32) -> Result<(), Fault> {
     let mut network = RealNetwork::over(&["pty"], clock, |_, gateway, events, clock| {
         let listening = link::listen(&spec, gateway, events, clock, &LinkOptions::default());
         let handle = listening.map_err(|source| OpenError::Link { spec: "pty".to_owned(), source })?;
-        device = handle.description.name.trim_start_matches("pty:").to_owned();
+        handle.description.name.trim_start_matches("pty:").clone_into(&mut device);
         Ok(handle)
     })
     .map_err(|error| error.to_string())?;

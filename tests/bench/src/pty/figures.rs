@@ -185,7 +185,7 @@ mod tests {
         let samples = [sample(0.5, 20.0), sample(2.0, -3.0), sample(3.0, 4.0), sample(4.0, 0.0)];
         let case = Case::of("idle", 0, 0.0, &samples);
         assert_eq!((case.samples, case.violations, case.ratio_max), (3, 1, Some(2.0)));
-        assert_eq!(case.quantiles_us, [3.0, 4.0, 4.0, 4.0]);
+        assert_eq!(case.quantiles_us.map(f64::to_bits), [3.0, 4.0, 4.0, 4.0f64].map(f64::to_bits));
         assert!((case.rms_us - (25.0f64 / 3.0).sqrt()).abs() < 1e-12);
         assert_eq!(case.reached_s, Some(0.5));
     }
