@@ -7,10 +7,10 @@
 //!
 //! ```
 //! use fixed_math::time::LocalTicks;
-//! use osap_protocol::time::{TimeRequest, stamp, unwrap_stamp};
+//! use osap_protocol::time::{ANYBODY, TimeRequest, stamp, unwrap_stamp};
 //!
 //! let mut payload = [0; TimeRequest::LEN];
-//! TimeRequest { sequence: 7 }.encode(&mut payload).unwrap();
+//! TimeRequest { sequence: 7, below: ANYBODY }.encode(&mut payload).unwrap();
 //! let departed = LocalTicks::from_us(123_456_789);
 //! stamp(&mut payload, departed);
 //! let (request, slot) = TimeRequest::decode(&payload).unwrap();
@@ -54,21 +54,26 @@ const fn low(steps: u64) -> u32 {
     steps as u32
 }
 
-/// Asks a neighbour for its time, `[TIM-01]`: `version u8, sequence u8, slot u32`.
+/// Asks a neighbour for its time, `[TIM-01]`: `version u8, sequence u8, below u8, slot u32`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TimeRequest {
     /// Comes back in the reply.
     pub sequence: u8,
+    /// Only nodes of a lower tier answer, `[TIM-18]`; [`ANYBODY`] for all.
+    pub below: u8,
 }
+
+/// A request that is answered whatever the tier.
+pub const ANYBODY: u8 = u8::MAX;
 
 impl TimeRequest {
     /// Its bytes, slot included.
-    pub const LEN: usize = 2 + SLOT_BYTES;
+    pub const LEN: usize = 3 + SLOT_BYTES;
 
     /// Writes it into `out` with an empty slot; its length, or `None` where it does not fit.
     pub fn encode(self, out: &mut [u8]) -> Option<usize> {
         let mut out = Writer(out);
-        out.put([TIME_VERSION, self.sequence])?;
+        out.put([TIME_VERSION, self.sequence, self.below])?;
         out.put([0; SLOT_BYTES])?;
         Some(Self::LEN)
     }
@@ -80,9 +85,9 @@ impl TimeRequest {
     pub fn decode(bytes: &[u8]) -> Result<(Self, u32), DropCause> {
         let mut bytes = Reader(bytes);
         let read = |bytes: &mut Reader<'_>| {
-            let [version, sequence] = bytes.take()?;
+            let [version, sequence, below] = bytes.take()?;
             let slot = u32::from_le_bytes(bytes.take()?);
-            (version == TIME_VERSION && bytes.0.is_empty()).then_some((Self { sequence }, slot))
+            (version == TIME_VERSION && bytes.0.is_empty()).then_some((Self { sequence, below }, slot))
         };
         read(&mut bytes).ok_or(DropCause::SystemMalformed)
     }

@@ -13,7 +13,7 @@ use fixed_math::clock::{Diffusion, Estimate, Follow, Gains, Neighbour, Oldest, S
 use fixed_math::time::{LocalTicks, NetTime, Rate, Span};
 use osap_protocol::GatewayIndex;
 use osap_protocol::discovery::{Refusal, ServoKind, TIER_FREE_RUNNING, TimeSettings, UniqueId};
-use osap_protocol::time::{NO_BOUND, PRIORITY_DEVICE, PRIORITY_NEVER, Root, TIER_MAX, UnixOffset};
+use osap_protocol::time::{NO_BOUND, PRIORITY_DEVICE, PRIORITY_NEVER, Root, TIER_MAX, TimeReply, UnixOffset};
 
 /// Settings of a new node: the thesis's 50 ms between exchanges, a quarter of each new offset into the average.
 pub const DEFAULT_SETTINGS: TimeSettings = TimeSettings {
@@ -316,6 +316,20 @@ impl Clock {
         changes
     }
 
+    /// Whether the time that a reply offers is better than the node's own, or the same from nearer, `[TIM-18]`; its request
+    /// was heard when this node's counter read `heard`.
+    pub(crate) fn would_follow(&self, reply: &TimeReply, heard: LocalTicks) -> bool {
+        if reply.tier >= TIER_MAX || reply.root.unique_id == self.me || reply.is_yours {
+            return false;
+        }
+        if reply.root.unique_id == self.root.unique_id {
+            return reply.tier + 1 < self.tier;
+        }
+        let theirs = Claim { root: reply.root, system: reply.system, tier: reply.tier };
+        let mine = Claim { root: self.root, system: self.map.system_at(heard), tier: self.tier };
+        self.tier == TIER_FREE_RUNNING || theirs.goes_before(&mine)
+    }
+
     const fn follows(&self) -> bool {
         self.tier != 0 && self.tier != TIER_FREE_RUNNING
     }
@@ -485,10 +499,12 @@ impl Clock {
         self.unix_from = None;
     }
 
-    /// Whether an offset to system time is too far off to be believed, `[TIM-06]`.
-    pub(crate) fn is_absurd(&self, offset_steps: i64, root: UniqueId) -> bool {
+    /// Whether what a neighbour takes for system time is too far off to be believed, `[TIM-06]`: from what this node is slewed to, which may be
+    /// far from where it is.
+    pub(crate) fn is_absurd(&self, system: NetTime, at: LocalTicks, root: UniqueId) -> bool {
         let gate = u64::from(self.settings.gate_steps.unsigned_abs());
-        self.is_settled && self.tier != 0 && root == self.root.unique_id && offset_steps.unsigned_abs() > gate
+        let off = system.steps_after(self.estimate.line.system_at(at)).unsigned_abs();
+        self.is_settled && self.tier != 0 && root == self.root.unique_id && off > gate
     }
 }
 

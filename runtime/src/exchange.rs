@@ -12,11 +12,11 @@ use fixed_math::time::{LocalTicks, Rate, Span};
 use osap_protocol::discovery::{ClockChange, Event, GatewayKind, KeptTime, Verbosity};
 use osap_protocol::header::{Arrival, SYSTEM_HEADER_BYTES, Terminal, emit};
 use osap_protocol::system::{ANNOUNCE_TTL_US, SystemKey};
-use osap_protocol::time::{TimeReply, TimeRequest, stamp};
-use osap_protocol::{DropCause, GatewayIndex, RouteBuf, Step};
+use osap_protocol::time::{ANYBODY, TIER_MAX, TimeReply, TimeRequest, stamp};
+use osap_protocol::{BusDrop, DropCause, GatewayIndex, RouteBuf, Step};
 
-/// Bytes of the longest message about time: header, one step, a reply.
-pub(crate) const TIME_BYTES_MAX: usize = SYSTEM_HEADER_BYTES + 1 + TimeReply::LEN;
+/// Bytes of the longest message about time: header, one step over a bus, a reply.
+pub(crate) const TIME_BYTES_MAX: usize = SYSTEM_HEADER_BYTES + 2 + TimeReply::LEN;
 
 impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS: usize>
     Node<SLOTS, BYTES, GATEWAYS, PORTS>
@@ -39,24 +39,32 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
     pub(crate) fn time_message(&mut self, index: GatewayIndex, now: LocalTicks, out: &mut [u8]) -> Option<Outgoing> {
         let dither = self.clock.draw();
         let gateway = self.gateways.get_mut(index.at())?;
+        let message = if let Some(owed) = gateway.peer.take_owed() {
+            let by_partner = gateway.peer.is_partner(owed.by);
+            Message::Reply(owed.by, self.clock.reply(owed, index, by_partner, gateway.config.stamps.tick))
+        } else {
+            let (is_near, tier) = (self.clock.is_near_source(gateway), self.clock.tier());
+            let (request, to) = gateway.peer.request(now, self.clock.interval_us(), is_near, tier, dither);
+            Message::Request(to, request)
+        };
+        let (key, to) = match &message {
+            Message::Reply(to, _) => (SystemKey::TimeReply, *to),
+            Message::Request(to, _) => (SystemKey::TimeRequest, *to),
+        };
         let mut route = RouteBuf::new();
-        route.push(Step::Link(index)).ok()?;
-        let owed = gateway.peer.take_owed();
-        let key = if owed.is_some() { SystemKey::TimeReply } else { SystemKey::TimeRequest };
+        route.push(to.map_or(Step::Link(index), |drop| Step::Bus { gateway: index, drop })).ok()?;
         let terminal = Terminal::System { key: key.key() };
         let at = emit(out, ANNOUNCE_TTL_US, gateway.config.mtu_bytes, route.as_route(), terminal).ok()?;
         let room = out.get_mut(at..)?;
-        let len = if let Some(owed) = owed {
-            self.clock.reply(owed, index, gateway.config.stamps.tick).encode(room)?
-        } else {
-            let is_near = self.clock.is_near_source(gateway);
-            gateway.peer.request(now, self.clock.interval_us(), is_near, dither).encode(room)?
+        let len = match message {
+            Message::Reply(_, reply) => reply.encode(room)?,
+            Message::Request(_, request) => request.encode(room)?,
         };
         let packet = out.get_mut(..at + len)?;
         stamp(packet, now);
         gateway.announced_last = true;
         gateway.sent = gateway.sent.wrapping_add(1);
-        Some(Outgoing { len: packet.len(), to: None, is_stamped: true })
+        Some(Outgoing { len: packet.len(), to, is_stamped: true })
     }
 
     /// Takes a message about time that came whole by one step.
@@ -69,22 +77,53 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         started: LocalTicks,
         now: LocalTicks,
     ) -> Result<(), DropCause> {
-        let Arrival::Link(index) = arrival else { return Err(DropCause::UnknownSystemKey) };
+        let (index, by) = match arrival {
+            Arrival::Link(index) => (index, None),
+            Arrival::Bus { gateway, from } => (gateway, Some(from)),
+        };
         if key == SystemKey::TimeRequest {
-            let (TimeRequest { sequence }, asked_slot) = TimeRequest::decode(payload)?;
+            let (TimeRequest { sequence, below }, asked_slot) = TimeRequest::decode(payload)?;
             let gateway = self.gateways.get_mut(index.at()).ok_or(DropCause::NoSuchGateway)?;
             if usize::from(gateway.config.mtu_bytes) < TIME_BYTES_MAX {
                 return Err(DropCause::OverMtu);
             }
-            gateway.peer.owe(Owed { sequence, asked_slot, heard: started });
-            return Ok(());
+            // who asks for what is nearer to the root than this node is answered by others
+            if below != ANYBODY && self.clock.tier() >= below {
+                return Ok(());
+            }
+            return gateway.peer.owe(Owed { sequence, asked_slot, heard: started, by });
         }
         let reply = TimeReply::decode(payload)?;
-        let result = self.hear_reply(&reply, index, started, now);
+        let result = match by {
+            Some(drop) if self.gateways.get(index.at()).is_some_and(|it| it.peer.is_offer(by)) => {
+                self.hear_offer(&reply, index, drop, started, now)
+            }
+            _ => self.hear_reply(&reply, index, started, now),
+        };
         if let (Err(_), Some(gateway)) = (&result, self.gateways.get_mut(index.at())) {
             gateway.peer.refused = gateway.peer.refused.saturating_add(1);
         }
         result
+    }
+
+    /// An answer to a search on a bus: its sender becomes the partner where its time is better than the node's own, `[TIM-18]`.
+    fn hear_offer(
+        &mut self,
+        reply: &TimeReply,
+        index: GatewayIndex,
+        drop: BusDrop,
+        started: LocalTicks,
+        now: LocalTicks,
+    ) -> Result<(), DropCause> {
+        let gateway = self.gateways.get_mut(index.at()).ok_or(DropCause::NoSuchGateway)?;
+        let sent = gateway.peer.asked(reply, started, gateway.config.stamps)?;
+        // when the request came there, by this node's counter
+        let turn = reply.answered().since(reply.heard);
+        let heard = sent + Span::from_steps(started.since(sent).saturating_sub(turn).steps() / 2);
+        if self.clock.would_follow(reply, heard) {
+            gateway.peer.partner_with(drop, now);
+        }
+        Ok(())
     }
 
     fn hear_reply(
@@ -100,12 +139,16 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         gateway.peer.hear(reply, started, stamps, me)?;
         if let Some(estimate) = gateway.peer.estimate() {
             let offset = estimate.line.system_at(started).steps_after(self.clock.map().system_at(started));
-            if self.clock.is_absurd(offset, reply.root.unique_id) {
+            if self.clock.is_absurd(estimate.line.system_at(started), started, reply.root.unique_id) {
                 gateway.peer.said = None;
                 gateway.peer.outlier(stamps, Span::from_steps(reply.tick_steps.into()));
                 return Err(DropCause::TimeAbsurd);
             }
             gateway.peer.average(offset, self.clock.settings().filter_q16);
+        }
+        // a partner that has its time from here, or has none, is no partner
+        if reply.is_yours || reply.root.unique_id == me || reply.tier > TIER_MAX {
+            gateway.peer.part();
         }
         self.keep_time(now);
         Ok(())
@@ -151,15 +194,31 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
     /// Begins to ask a neighbour that has appeared, or ends it.
     pub(crate) fn time_of_neighbour(&mut self, index: GatewayIndex, now: LocalTicks) {
         let Some(gateway) = self.gateways.get_mut(index.at()) else { return };
-        match gateway.heard {
-            // what could not be answered is not asked either
-            Some(heard)
-                if gateway.config.kind == GatewayKind::Link
-                    && usize::from(gateway.config.mtu_bytes) >= TIME_BYTES_MAX =>
-            {
+        // what could not be answered is not asked either
+        let can_ask = gateway.open && usize::from(gateway.config.mtu_bytes) >= TIME_BYTES_MAX;
+        match (gateway.config.kind, gateway.heard) {
+            (GatewayKind::Link, Some(heard)) if can_ask => {
                 gateway.peer.appeared(heard.neighbour.unique_id, heard.neighbour.boot_epoch, now);
             }
+            // whoever comes to a bus, the search goes on
+            (GatewayKind::Bus { .. }, _) if can_ask => {}
             _ => gateway.peer.lost(),
         }
     }
+
+    /// A gateway has opened or closed: on a bus a partner is looked for.
+    pub(crate) fn time_of_gateway(&mut self, index: GatewayIndex, now: LocalTicks) {
+        let Some(gateway) = self.gateways.get_mut(index.at()) else { return };
+        gateway.peer.lost();
+        let is_bus = matches!(gateway.config.kind, GatewayKind::Bus { .. });
+        if is_bus && gateway.open && usize::from(gateway.config.mtu_bytes) >= TIME_BYTES_MAX {
+            gateway.peer.on_bus(now);
+        }
+    }
+}
+
+/// What is to be sent, and on a bus to whom.
+enum Message {
+    Reply(Option<BusDrop>, TimeReply),
+    Request(Option<BusDrop>, TimeRequest),
 }

@@ -215,8 +215,8 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         gateway.open = open;
         gateway.announce_at = open.then_some(now);
         self.debug.record(Verbosity::Events, now, || Event::Gateway { gateway: index.get(), open });
+        self.time_of_gateway(index, now);
         if !open {
-            self.gateways[index.at()].peer.lost();
             self.neighbour_lost(index, now);
             while let Some(id) = self.stack.take_for(&mut self.pool, Taker::Gateway(index)) {
                 self.leave_stack(&id);

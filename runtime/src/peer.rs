@@ -7,9 +7,10 @@
 use crate::gateway::Stamps;
 use fixed_math::clock::{Estimate, Exchange, Fault, LinkClock, LinkTraits, PeerEstimate, ewma};
 use fixed_math::time::{LocalTicks, Rate, Span};
-use osap_protocol::DropCause;
+
 use osap_protocol::discovery::{TimeLink, UniqueId};
-use osap_protocol::time::{NO_BOUND, Root, TimeReply, TimeRequest, UnixOffset, unwrap_stamp};
+use osap_protocol::time::{ANYBODY, NO_BOUND, Root, TimeReply, TimeRequest, UnixOffset, unwrap_stamp};
+use osap_protocol::{BusDrop, DropCause};
 
 /// Requests to a neighbour that has just appeared, `[TIM-05]`.
 pub const BURST: u8 = 200;
@@ -19,12 +20,37 @@ pub const BURST_INTERVAL_US: u64 = 5_000;
 pub const SLOW_FACTOR: u32 = 8;
 /// Absurd replies in a row after which what was known is forgotten, `[TIM-06]`.
 pub const OUTLIERS_MAX: u8 = 16;
+/// How much less often a partner on a bus is asked, `[TIM-18]`: all of them share its wire.
+pub const BUS_FACTOR: u32 = 8;
+/// From one search for a partner to the next, µs.
+pub const SEARCH_US: u64 = 1_000_000;
+/// Requests to a partner between two searches for a nearer one.
+pub const SEARCH_EVERY: u8 = 32;
+/// Requests in a row without an answer after which a partner is none.
+pub const MISSES_MAX: u8 = 8;
+/// Requests to a new partner in quick succession, and the time between them, µs.
+const BUS_BURST: u8 = 16;
+const BUS_BURST_INTERVAL_US: u64 = 50_000;
+
 /// A request that waits for its answer.
 #[derive(Clone, Copy, Debug)]
 struct Open {
     sequence: u8,
     made: LocalTicks,
+    /// It went to all on a bus, and more than one may answer.
+    is_search: bool,
 }
+
+/// Whom a node on a bus asks.
+#[derive(Clone, Copy, Debug, Default)]
+struct Partner {
+    drop: Option<BusDrop>,
+    misses: u8,
+    to_search: u8,
+}
+
+/// Replies that wait for their gateway at once; what else is asked meanwhile is asked again.
+const OWED_MAX: usize = 3;
 
 /// A reply that waits for its gateway.
 #[derive(Clone, Copy, Debug)]
@@ -32,6 +58,8 @@ pub(crate) struct Owed {
     pub(crate) sequence: u8,
     pub(crate) asked_slot: u32,
     pub(crate) heard: LocalTicks,
+    /// On a bus, whose request it is.
+    pub(crate) by: Option<BusDrop>,
 }
 
 /// What a neighbour said last, once it was believed.
@@ -68,7 +96,9 @@ pub(crate) struct Peer {
     /// When to ask next.
     request_at: Option<LocalTicks>,
     open: Option<Open>,
-    owed: Option<Owed>,
+    /// On a bus more than one may ask before it is free.
+    owed: heapless::Deque<Owed, OWED_MAX>,
+    partner: Option<Partner>,
     pub(crate) said: Option<Said>,
     /// System time as of what was said last, composed once: what takes thousands of cycles on a device is not done for each look.
     estimate: Option<Estimate>,
@@ -94,7 +124,8 @@ impl Peer {
             due_at: LocalTicks::MAX,
             request_at: None,
             open: None,
-            owed: None,
+            owed: heapless::Deque::new(),
+            partner: None,
             said: None,
             estimate: None,
             sequence: 0,
@@ -120,6 +151,36 @@ impl Peer {
         self.ask_at(Some(now));
     }
 
+    /// A gateway on a bus has opened: a partner is looked for.
+    pub(crate) fn on_bus(&mut self, now: LocalTicks) {
+        self.of = None;
+        self.forget();
+        self.partner = Some(Partner::default());
+        self.ask_at(Some(now));
+    }
+
+    /// Whether the time of whoever is at `by` on a bus is this node's source, if this peer is one.
+    pub(crate) fn is_partner(&self, by: Option<BusDrop>) -> bool {
+        self.partner.is_none_or(|partner| partner.drop == by)
+    }
+
+    /// Takes another drop of the bus as partner.
+    pub(crate) fn partner_with(&mut self, drop: BusDrop, now: LocalTicks) {
+        self.forget();
+        self.partner = Some(Partner { drop: Some(drop), misses: 0, to_search: SEARCH_EVERY });
+        self.burst = BUS_BURST;
+        self.open = None;
+        self.ask_at(Some(now));
+    }
+
+    /// What was heard of a partner says that it cannot be one.
+    pub(crate) fn part(&mut self) {
+        if let Some(partner) = &mut self.partner {
+            *partner = Partner::default();
+            self.said = None;
+        }
+    }
+
     /// When there is something to be sent.
     #[inline]
     pub(crate) const fn due_at(&self) -> LocalTicks {
@@ -128,25 +189,30 @@ impl Peer {
 
     fn ask_at(&mut self, at: Option<LocalTicks>) {
         self.request_at = at;
-        self.due_at = if self.owed.is_some() { LocalTicks::ZERO } else { at.unwrap_or(LocalTicks::MAX) };
+        self.due_at = if self.owed.is_empty() { at.unwrap_or(LocalTicks::MAX) } else { LocalTicks::ZERO };
     }
 
-    /// A request has come: its answer is to be sent as soon as the gateway is free.
-    pub(crate) fn owe(&mut self, owed: Owed) {
-        self.owed = Some(owed);
+    /// A request has come: its answer is to be sent as soon as the gateway is free. A new one of the same sender replaces the old one.
+    pub(crate) fn owe(&mut self, owed: Owed) -> Result<(), DropCause> {
         self.due_at = LocalTicks::ZERO;
+        if let Some(same) = self.owed.iter_mut().find(|other| other.by == owed.by) {
+            *same = owed;
+            return Ok(());
+        }
+        self.owed.push_back(owed).map_err(|_| DropCause::HoldFull)
     }
 
     /// The answer that is owed, to be sent now.
     pub(crate) fn take_owed(&mut self) -> Option<Owed> {
-        let owed = self.owed.take();
+        let owed = self.owed.pop_front();
         self.ask_at(self.request_at);
         owed
     }
 
     /// It is asked no more; what is known of it stays, in case it comes back.
     pub(crate) fn lost(&mut self) {
-        self.owed = None;
+        self.owed.clear();
+        self.partner = None;
         self.ask_at(None);
         self.open = None;
         self.said = None;
@@ -169,12 +235,27 @@ impl Peer {
         self.forget();
     }
 
-    /// The next request, made at `now`; plans the one after it.
-    pub(crate) fn request(&mut self, now: LocalTicks, interval_us: u64, is_near: bool, dither: u32) -> TimeRequest {
-        self.unanswered = self.unanswered.saturating_add(u32::from(self.open.is_some()));
+    /// The next request, made at `now` by a node of `tier`, and on a bus whom it is for; plans the one after it.
+    pub(crate) fn request(
+        &mut self,
+        now: LocalTicks,
+        interval_us: u64,
+        is_near: bool,
+        tier: u8,
+        dither: u32,
+    ) -> (TimeRequest, Option<BusDrop>) {
+        let (to, below) = self.whom_to_ask(tier);
+        let is_search = to == Some(BusDrop::BROADCAST);
+        if !is_search {
+            self.unanswered = self.unanswered.saturating_add(u32::from(self.open.is_some_and(|open| !open.is_search)));
+        }
         self.sequence = self.sequence.wrapping_add(1);
-        self.open = Some(Open { sequence: self.sequence, made: now });
+        self.open = Some(Open { sequence: self.sequence, made: now, is_search });
+        let is_bus = to.is_some();
         let interval_us = match (self.burst, is_near) {
+            _ if is_bus && self.partner.is_some_and(|partner| partner.drop.is_none()) => SEARCH_US,
+            (1.., _) if is_bus => BUS_BURST_INTERVAL_US,
+            (0, _) if is_bus => interval_us * u64::from(BUS_FACTOR),
             (1.., _) => BURST_INTERVAL_US.min(interval_us),
             (0, true) => interval_us,
             (0, false) => interval_us * u64::from(SLOW_FACTOR),
@@ -183,12 +264,34 @@ impl Peer {
         // 7/8 to 9/8 of it
         let part = (interval_us >> 2).saturating_mul(u64::from(dither >> 16)) >> 16;
         self.ask_at(Some(now + Span::from_us(interval_us - (interval_us >> 3) + part)));
-        TimeRequest { sequence: self.sequence }
+        (TimeRequest { sequence: self.sequence, below }, to)
+    }
+
+    /// On a bus the partner, or all where there is none, or where a nearer one may have come, `[TIM-18]`.
+    fn whom_to_ask(&mut self, tier: u8) -> (Option<BusDrop>, u8) {
+        let Some(partner) = &mut self.partner else { return (None, ANYBODY) };
+        if let Some(drop) = partner.drop {
+            let is_missed = self.open.is_some_and(|open| !open.is_search);
+            partner.misses = if is_missed { partner.misses.saturating_add(1) } else { 0 };
+            if partner.misses < MISSES_MAX {
+                partner.to_search = partner.to_search.saturating_sub(1);
+                // the tier of its source, which is no nearer than itself
+                let nearer = tier.saturating_sub(1);
+                if partner.to_search > 0 || nearer == 0 || tier == u8::MAX {
+                    return (Some(drop), ANYBODY);
+                }
+                partner.to_search = SEARCH_EVERY;
+                return (Some(BusDrop::BROADCAST), nearer);
+            }
+            *partner = Partner::default();
+            self.said = None;
+        }
+        (Some(BusDrop::BROADCAST), ANYBODY)
     }
 
     /// Asks often again, from now on: a root was lost, or another time was taken over.
     pub(crate) fn hurry(&mut self, now: LocalTicks) {
-        if self.request_at.is_some() {
+        if self.request_at.is_some() && self.partner.is_none() {
             self.burst = BURST;
             self.ask_at(Some(now));
         }
@@ -202,12 +305,7 @@ impl Peer {
         stamps: Stamps,
         me: UniqueId,
     ) -> Result<(), DropCause> {
-        let open = self.open.filter(|open| open.sequence == reply.sequence).ok_or(DropCause::TimeUnasked)?;
-        let sent = unwrap_stamp(reply.asked_slot, received);
-        // a stamp is a reading of the same counter that `made` is, if not of the same tick
-        if sent + stamps.tick < open.made {
-            return Err(DropCause::TimeUnasked);
-        }
+        let sent = self.asked(reply, received, stamps)?;
         self.open = None;
         self.check_tier(reply, me)?;
         let peer_tick = Span::from_steps(u64::from(reply.tick_steps));
@@ -216,7 +314,15 @@ impl Peer {
             self.forget();
         }
         let exchange = Exchange { sent, heard: reply.heard, answered: reply.answered(), received };
+        let contradictions = self.link.contradictions();
         match self.link.observe(&exchange) {
+            // what was promised of rates is broken: once by a stamp that was late, again and again by an oscillator that is no crystal
+            Ok(()) if self.link.contradictions() != contradictions => {
+                self.outliers = self.outliers.saturating_add(OUTLIERS_MAX / 2 - 1);
+                self.outlier(stamps, peer_tick);
+            }
+            // the first after a restart agrees with nothing yet
+            Ok(()) if self.link.exchanges() > 1 => self.outliers = self.outliers.saturating_sub(1),
             Ok(()) => {}
             Err(Fault::Absurd) => {
                 self.outlier(stamps, peer_tick);
@@ -246,6 +352,24 @@ impl Peer {
         Ok(())
     }
 
+    /// When the request left that a reply answers; a fault where there is none open.
+    pub(crate) fn asked(
+        &self,
+        reply: &TimeReply,
+        received: LocalTicks,
+        stamps: Stamps,
+    ) -> Result<LocalTicks, DropCause> {
+        let open = self.open.filter(|open| open.sequence == reply.sequence).ok_or(DropCause::TimeUnasked)?;
+        let sent = unwrap_stamp(reply.asked_slot, received);
+        // a stamp is a reading of the same counter that `made` is, if not of the same tick
+        if sent + stamps.tick < open.made { Err(DropCause::TimeUnasked) } else { Ok(sent) }
+    }
+
+    /// Whether a reply from `by` is an offer: this is a bus, and `by` is not the partner there.
+    pub(crate) fn is_offer(&self, by: Option<BusDrop>) -> bool {
+        !self.is_partner(by)
+    }
+
     /// Whether the rate is known well and has moved by `ppb` since it was kept.
     pub(crate) fn rate_moved(&self, ppb: u32) -> bool {
         let is_known = self.link.exchanges() > u32::from(BURST);
@@ -262,7 +386,7 @@ impl Peer {
 
     /// One more absurd reply; after too many in a row what was known is forgotten.
     pub(crate) fn outlier(&mut self, stamps: Stamps, peer_tick: Span) {
-        self.outliers += 1;
+        self.outliers = self.outliers.saturating_add(1);
         if self.outliers >= OUTLIERS_MAX {
             self.kept = None;
             self.is_rc = true;
@@ -278,10 +402,12 @@ impl Peer {
 
     /// Only a root is its own root, and it has heard itself just now.
     fn check_tier(&self, reply: &TimeReply, me: UniqueId) -> Result<(), DropCause> {
+        // on a bus nobody has said who he is
+        let is_known = self.of.is_some();
         let own = self.of.is_some_and(|(id, _)| id == reply.root.unique_id);
         let contradicts = match reply.tier {
             u8::MAX => false,
-            0 => !own || reply.root.unique_id == me || reply.age_us > 0,
+            0 => (is_known && !own) || reply.root.unique_id == me || reply.age_us > 0,
             _ => own,
         };
         if contradicts { Err(DropCause::TimeTier) } else { Ok(()) }
@@ -289,10 +415,6 @@ impl Peer {
 
     /// Takes the offset of the last exchange into the average, `[TIM-11]`.
     pub(crate) fn average(&mut self, offset_steps: i64, weight_q16: i32) {
-        // the first after a restart agrees with nothing yet
-        if self.link.exchanges() > 1 {
-            self.outliers = 0;
-        }
         self.offset_steps = offset_steps;
         self.filtered_steps = Some(self.filtered_steps.map_or(offset_steps, |was| ewma(was, offset_steps, weight_q16)));
     }

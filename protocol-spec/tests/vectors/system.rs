@@ -55,6 +55,7 @@ struct Asked {
     ttl_us: u16,
     mtu_bytes: u16,
     sequence: u8,
+    below: u8,
     departed_steps: u64,
 }
 
@@ -170,7 +171,8 @@ fn system_messages() {
         assert_eq!(Announcement::decode(&v.bytes.0[start..]), Ok(announcement), "{at}: read");
     });
     each(SYSTEM, &file.time_request, |at, v| {
-        let (request, departed) = (TimeRequest { sequence: v.sequence }, LocalTicks::from_steps(v.departed_steps));
+        let request = TimeRequest { sequence: v.sequence, below: v.below };
+        let departed = LocalTicks::from_steps(v.departed_steps);
         let head = (v.step, v.ttl_us, v.mtu_bytes);
         let (mut out, start) = packet(head, SystemKey::TimeRequest, |room| request.encode(room).expect("room"));
         stamp(&mut out, departed);

@@ -20,9 +20,9 @@ const KEEP_NEXT_US: u64 = 600_000_000;
 const KEEP_MIN_PPB: u32 = 1_000;
 
 impl Clock {
-    /// The answer to a request, as of its arrival, `[TIM-02]`.
-    pub(crate) fn reply(&self, owed: Owed, index: GatewayIndex, tick: Span) -> TimeReply {
-        let Owed { sequence, asked_slot, heard } = owed;
+    /// The answer to a request, as of its arrival, `[TIM-02]`; `by_partner`: it is of whom this node asks there.
+    pub(crate) fn reply(&self, owed: Owed, index: GatewayIndex, by_partner: bool, tick: Span) -> TimeReply {
+        let Owed { sequence, asked_slot, heard, .. } = owed;
         let follows = self.settings.servo == ServoKind::Estimator;
         let (system, rate) = if follows {
             (self.estimate.line.system_at(heard), self.estimate.line.rate)
@@ -52,7 +52,7 @@ impl Clock {
             tick_steps: u16::try_from(tick.steps()).unwrap_or(u16::MAX),
             tier: self.tier,
             root: self.root,
-            is_yours: self.sources & 1 << index.get() != 0,
+            is_yours: by_partner && self.sources & 1 << index.get() != 0,
             is_settled: self.is_settled,
             unix: self.unix.filter(|_| self.unix_from != Some(index)),
             answered_slot: 0,

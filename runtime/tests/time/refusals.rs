@@ -67,7 +67,7 @@ impl Forger {
             };
             let payload = &packet[SYSTEM_HEADER_BYTES + 1..out.len];
             if out.is_stamped
-                && let Ok((TimeRequest { sequence }, slot)) = TimeRequest::decode(payload)
+                && let Ok((TimeRequest { sequence, .. }, slot)) = TimeRequest::decode(payload)
             {
                 self.sequence = sequence;
                 let heard = PeerTicks::from_us(unwrap_stamp(slot, us(self.at_us)).as_us() + AHEAD_US + 20);
