@@ -6,6 +6,7 @@
 
 use crate::clock::Changes;
 use crate::egress::Outgoing;
+use crate::gateway::GatewayConfig;
 use crate::node::Node;
 use crate::peer::Owed;
 use fixed_math::time::{LocalTicks, Rate, Span};
@@ -17,6 +18,15 @@ use osap_protocol::{BusDrop, DropCause, GatewayIndex, RouteBuf, Step};
 
 /// Bytes of the longest message about time: header, one step over a bus, a reply.
 pub(crate) const TIME_BYTES_MAX: usize = SYSTEM_HEADER_BYTES + 2 + TimeReply::LEN;
+
+/// Whether a gateway can carry a reply: who could not be answered is not asked either.
+fn can_carry(config: &GatewayConfig) -> bool {
+    let step = match config.kind {
+        GatewayKind::Link => 1,
+        GatewayKind::Bus { .. } => 2,
+    };
+    usize::from(config.mtu_bytes) >= SYSTEM_HEADER_BYTES + step + TimeReply::LEN
+}
 
 impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS: usize>
     Node<SLOTS, BYTES, GATEWAYS, PORTS>
@@ -84,7 +94,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         if key == SystemKey::TimeRequest {
             let (TimeRequest { sequence, below }, asked_slot) = TimeRequest::decode(payload)?;
             let gateway = self.gateways.get_mut(index.at()).ok_or(DropCause::NoSuchGateway)?;
-            if usize::from(gateway.config.mtu_bytes) < TIME_BYTES_MAX {
+            if !can_carry(&gateway.config) {
                 return Err(DropCause::OverMtu);
             }
             // who asks for what is nearer to the root than this node is answered by others
@@ -194,8 +204,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
     /// Begins to ask a neighbour that has appeared, or ends it.
     pub(crate) fn time_of_neighbour(&mut self, index: GatewayIndex, now: LocalTicks) {
         let Some(gateway) = self.gateways.get_mut(index.at()) else { return };
-        // what could not be answered is not asked either
-        let can_ask = gateway.open && usize::from(gateway.config.mtu_bytes) >= TIME_BYTES_MAX;
+        let can_ask = gateway.open && can_carry(&gateway.config);
         match (gateway.config.kind, gateway.heard) {
             (GatewayKind::Link, Some(heard)) if can_ask => {
                 gateway.peer.appeared(heard.neighbour.unique_id, heard.neighbour.boot_epoch, now);
@@ -211,7 +220,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         let Some(gateway) = self.gateways.get_mut(index.at()) else { return };
         gateway.peer.lost();
         let is_bus = matches!(gateway.config.kind, GatewayKind::Bus { .. });
-        if is_bus && gateway.open && usize::from(gateway.config.mtu_bytes) >= TIME_BYTES_MAX {
+        if is_bus && gateway.open && can_carry(&gateway.config) {
             gateway.peer.on_bus(now);
         }
     }

@@ -3,11 +3,11 @@
 use crate::common::{BYTES, FAST, TestNode, UART, ask, carry, datagram, gateway, link, node, us};
 use crate::network::Network;
 use fixed_math::time::{LocalTicks, PeerTicks, Span};
-use osap_protocol::discovery::{GatewayKind, Query, TimeLink, UniqueId};
+use osap_protocol::DropCause;
+use osap_protocol::discovery::{Query, TimeLink, UniqueId};
 use osap_protocol::header::{Arrival, SYSTEM_HEADER_BYTES, Terminal, emit};
 use osap_protocol::system::SystemKey;
 use osap_protocol::time::{ANYBODY, Root, TimeReply, TimeRequest, unwrap_stamp};
-use osap_protocol::{BusDrop, DropCause};
 use osap_runtime::clock::DEFAULT_SETTINGS;
 use osap_runtime::{BURST, BURST_INTERVAL_US, GatewayConfig, Outgoing, SLOW_FACTOR};
 

@@ -221,10 +221,11 @@ fn what_stays_absurd_is_learned_anew() {
     it.honest(30);
     let steps = it.status().steps;
     let began = it.at_us;
-    let mut refused = 0;
+    let (mut said, mut refused) = (0, 0);
     while it.at_us < began + AGE_MAX_US + 60_000 * u64::from(OUTLIERS_MAX) {
         let mut reply = it.asked();
         reply.system = reply.system.shifted(100_000_000 << 8);
+        said += 1;
         match it.say(&reply) {
             Ok(()) => {}
             Err(cause) => {
@@ -234,7 +235,8 @@ fn what_stays_absurd_is_learned_anew() {
         }
     }
     assert!(refused > u32::from(OUTLIERS_MAX), "{refused}");
-    assert!(it.link().exchanges < 30, "what was known was forgotten");
+    // else it would be those 30 more
+    assert!(it.link().exchanges <= said, "what was known was forgotten");
     it.honest(0);
     let status = it.status();
     assert_eq!((status.tier, status.root, status.steps), (1, IT, steps + 1));
