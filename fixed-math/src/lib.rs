@@ -10,3 +10,4 @@
 pub mod clock;
 pub mod spline;
 pub mod time;
+mod widening;

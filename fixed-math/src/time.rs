@@ -27,6 +27,7 @@
 //! let _ = NetTime::from_us(5).since(LocalTicks::from_us(3));
 //! ```
 
+use crate::widening::{product, product_signed};
 use core::ops::Add;
 use fixed::types::{I0F32, U56F8};
 
@@ -139,13 +140,12 @@ macro_rules! instant {
             /// `self − other` in steps, whichever is the later; what does not fit saturates.
             #[must_use]
             pub const fn steps_after(self, other: Self) -> i64 {
-                let (this, that) = (self.steps(), other.steps());
-                if this >= that {
-                    if this - that > i64::MAX as u64 { i64::MAX } else { (this - that).cast_signed() }
-                } else if that - this > i64::MAX as u64 {
-                    i64::MIN
-                } else {
-                    -(that - this).cast_signed()
+                let (between, is_before) = self.steps().overflowing_sub(other.steps());
+                let between = between.cast_signed();
+                match (is_before, between < 0) {
+                    (false, true) => i64::MAX,
+                    (true, false) => i64::MIN,
+                    _ => between,
                 }
             }
 
@@ -249,10 +249,26 @@ impl Rate {
     /// What a rate adds in `steps`, rounded down. No more than half of them, so it always fits.
     #[must_use]
     pub const fn over(self, steps: i64) -> i64 {
-        let rate = self.bits() as i64;
-        // in two parts of 32 × 32 bits, the upper with a sign: no product is longer than 64 bits
-        let (high, low) = (steps >> 32, steps & 0xffff_ffff);
-        high * rate + ((low * rate) >> 32)
+        let rate = self.bits();
+        // in two parts of 32 × 32 bits, the upper with a sign; nearly always that is one of none or of less than none
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the two halves")]
+        let (high, low) = ((steps >> 32) as i32, steps as u32);
+        let lower = self.over_short(low);
+        match high {
+            0 => lower,
+            -1 => lower - rate as i64,
+            _ => lower + product_signed(high, rate),
+        }
+    }
+
+    /// The same of what is not negative and short.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "most of what a map's reading costs in an interrupt")]
+    pub(crate) const fn over_short(self, steps: u32) -> i64 {
+        let rate = self.bits();
+        // a negative rate is 2^32 less than its bits, and so 2^32 times `steps` too much comes of them
+        let excess = (rate >> 31).cast_unsigned() & steps;
+        (product(steps, rate.cast_unsigned()) >> 32).cast_signed() - excess as i64
     }
 }
 

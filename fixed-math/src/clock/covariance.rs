@@ -7,7 +7,8 @@
 //!   is one shift by 24. The diagonal is at least [`OFFSET_FLOOR`] and [`SKEW_FLOOR`] and at most [`CAP`].
 //! - **Context:** once an exchange: ten 128-bit products and one 64-bit division.
 
-use super::wide::{Reciprocal, mul_shift};
+use super::wide::{Reciprocal, mul_shift, scale, scale_or_more};
+use crate::widening::product;
 
 /// Largest entry of the diagonal, 2^25 µs² (5.8 ms, one sigma): two of them still add up in 63 bits.
 pub(super) const CAP: i64 = 1 << 61;
@@ -18,10 +19,13 @@ const GROWTH_MAX: i64 = 1 << 56;
 const OFFSET_FLOOR: i64 = 1 << 20;
 /// Smallest variance of the skew, (0.93 ppb)²: below it rounding of the products above takes over.
 const SKEW_FLOOR: i64 = 1 << 8;
-/// Fraction bits of a gain. That of the skew is up to 2^18, and down to 2^−13.
+/// Fraction bits of the skew's gain, which is up to 2^18, and down to 2^−13. The offset's is below one, and 2^−13 at least.
 const GAIN_FRACTION: u32 = 40;
 /// Fraction bits of a span of time in units of 2^16 µs when it is given in steps.
 const TIME_FRACTION: u32 = 24;
+
+/// Two thirds in 2^−16.
+const TWO_THIRDS_Q16: u32 = 43_691;
 
 /// Of offset and skew; µs² in Q36.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,17 +35,17 @@ pub(super) struct Covariance {
     pub(super) skew: i64,
 }
 
-/// What part of a surprise goes to the offset and to the skew, in 2^−40.
+/// What part of a surprise goes to the offset, in 2^−32, and to the skew, in 2^−40.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Gains {
-    offset: i64,
+    offset: u32,
     skew: i64,
 }
 
 impl Gains {
     /// What is added to offset and skew for `surprise`, all in the same unit.
     pub(super) const fn of(self, surprise: i64) -> (i64, i64) {
-        (mul_shift(surprise, self.offset, GAIN_FRACTION), mul_shift(surprise, self.skew, GAIN_FRACTION))
+        (scale(surprise, self.offset, 32), scale_or_more(surprise, self.skew, GAIN_FRACTION))
     }
 }
 
@@ -54,34 +58,53 @@ impl Covariance {
     /// `steps` later, which are not negative, the skew having walked by `agility` (µs² in Q36 a unit of time): Q = A·[[T³/3, T²/2], [T²/2, T]].
     /// `None` past [`GROWTH_MAX`]. Five products.
     pub(super) const fn after(self, steps: i64, agility: i64) -> Option<Self> {
-        let walked = mul_shift(agility, steps, TIME_FRACTION);
-        let walked_twice = mul_shift(walked, steps, TIME_FRACTION + 1);
-        let turned = mul_shift(self.skew, steps, TIME_FRACTION);
-        // two thirds: T³/3 is T times two thirds of T²/2
-        let inner =
-            self.both.saturating_mul(2).saturating_add(turned).saturating_add(mul_shift(walked_twice, 43_691, 16));
-        let growth = mul_shift(inner, steps, TIME_FRACTION);
-        let offset = self.offset.saturating_add(growth);
-        let both = self.both.saturating_add(turned).saturating_add(walked_twice);
-        let skew = self.skew.saturating_add(walked);
-        if growth > GROWTH_MAX || offset > CAP || skew > CAP {
+        let Some(Grown { offset, both, once }) = self.grown(steps, agility) else { return None };
+        let both = self.both.saturating_add(both);
+        let skew = self.skew.saturating_add(once);
+        if skew > CAP {
             return None;
         }
-        Some(Self { offset: within(offset, OFFSET_FLOOR), both, skew: within(skew, SKEW_FLOOR) })
+        Some(Self { offset, both, skew: within(skew, SKEW_FLOOR) })
+    }
+
+    /// The offset's variance then.
+    pub(super) const fn offset_after(self, steps: i64, agility: i64) -> Option<i64> {
+        match self.grown(steps, agility) {
+            Some(grown) => Some(grown.offset),
+            None => None,
+        }
+    }
+
+    /// What the offset's variance becomes, and what is added to the other two.
+    const fn grown(self, steps: i64, agility: i64) -> Option<Grown> {
+        let Walk { once, twice, thrice } = Walk::of(steps, agility);
+        let turned = in_time(self.skew, steps);
+        let inner = self.both.saturating_add(self.both).saturating_add(turned).saturating_add(thrice);
+        let growth = in_time(inner, steps);
+        let offset = self.offset.saturating_add(growth);
+        if growth > GROWTH_MAX || offset > CAP {
+            return None;
+        }
+        Some(Grown { offset: within(offset, OFFSET_FLOOR), both: turned.saturating_add(twice), once })
     }
 
     /// The gains for a measurement of the offset with variance `noise`. Two products and the division.
     pub(super) const fn gains(self, noise: i64) -> Gains {
         let over_sum = Reciprocal::of(self.offset + noise);
-        Gains { offset: over_sum.times(self.offset, GAIN_FRACTION), skew: over_sum.times(self.both, GAIN_FRACTION) }
+        let offset = over_sum.times(self.offset, 32);
+        Gains {
+            // below one, but perhaps for rounding
+            offset: if let Some(offset) = narrow(offset) { offset } else { u32::MAX },
+            skew: over_sum.times(self.both, GAIN_FRACTION),
+        }
     }
 
     /// After that measurement. Three products, in the form whose diagonal cannot become negative but by rounding.
     pub(super) const fn measured(self, noise: i64, gains: Gains) -> Self {
-        let skew = self.skew.saturating_sub(mul_shift(self.both, gains.skew, GAIN_FRACTION));
+        let skew = self.skew.saturating_sub(scale_or_more(self.both, gains.skew, GAIN_FRACTION));
         Self {
-            offset: within(mul_shift(noise, gains.offset, GAIN_FRACTION), OFFSET_FLOOR),
-            both: mul_shift(noise, gains.skew, GAIN_FRACTION),
+            offset: within(scale(noise, gains.offset, 32), OFFSET_FLOOR),
+            both: scale_or_more(noise, gains.skew, GAIN_FRACTION),
             skew: within(skew, SKEW_FLOOR),
         }
     }
@@ -101,6 +124,52 @@ impl Covariance {
         let walked = mul_shift(agility, steps, TIME_FRACTION) / 3;
         Self { offset: within(second, OFFSET_FLOOR), both, skew: within(skew.saturating_add(walked), SKEW_FLOOR) }
     }
+}
+
+/// See [`Covariance::grown`].
+struct Grown {
+    offset: i64,
+    both: i64,
+    once: i64,
+}
+
+/// What a walk of the skew adds: A·T to its own variance, A·T²/2 to what it shares with the offset, and A·T²/3, of which T times is the
+/// offset's.
+struct Walk {
+    once: i64,
+    twice: i64,
+    thrice: i64,
+}
+
+impl Walk {
+    /// In `steps` with `agility`; three products.
+    const fn of(steps: i64, agility: i64) -> Self {
+        if let (Some(short), Some(agility)) = (narrow(steps), narrow(agility))
+            && let Some(once) = narrow((product(agility, short) >> TIME_FRACTION).cast_signed())
+            && let Some(twice) = narrow((product(once, short) >> (TIME_FRACTION + 1)).cast_signed())
+        {
+            // 32 bits each, as nearly always
+            let thrice = (product(twice, TWO_THIRDS_Q16) >> 16).cast_signed();
+            return Self { once: once as i64, twice: twice as i64, thrice };
+        }
+        let once = scale_or_more(agility, steps, TIME_FRACTION);
+        let twice = scale_or_more(once, steps, TIME_FRACTION + 1);
+        Self { once, twice, thrice: scale(twice, TWO_THIRDS_Q16, 16) }
+    }
+}
+
+/// `value` times `steps` in units of time, rounded down, saturating.
+const fn in_time(value: i64, steps: i64) -> i64 {
+    if let (Some(short), Some(steps)) = (narrow(value), narrow(steps)) {
+        return (product(short, steps) >> TIME_FRACTION).cast_signed();
+    }
+    scale_or_more(value, steps, TIME_FRACTION)
+}
+
+/// Where it is of 32 bits.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "of 32 bits")]
+const fn narrow(value: i64) -> Option<u32> {
+    if value >> 32 == 0 { Some(value as u32) } else { None }
 }
 
 /// Between `floor` and [`CAP`].
@@ -172,7 +241,8 @@ mod tests {
                 found = later.measured(noise, gains);
                 let exact = reference.measured(value(noise));
                 let gain = |gain: i64| gain as f64 / f64::from(1u32 << 20).powi(2);
-                prop_assert!((gain(gains.offset) - exact[0]).abs() <= exact[0] / 128.0 + 1e-9, "{gains:?} {exact:?}");
+                let offset_gain = gain(i64::from(gains.offset) << 8);
+                prop_assert!((offset_gain - exact[0]).abs() <= exact[0] / 128.0 + 1e-9, "{gains:?} {exact:?}");
                 prop_assert!((gain(gains.skew) - exact[1]).abs() <= exact[1].abs() / 128.0 + 1e-9, "{gains:?} {exact:?}");
                 let [[p00, _], [_, p11]] = reference.p;
                 prop_assert!((value(found.offset) - p00).abs() <= p00 / 128.0, "{found:?} {p00}");

@@ -29,8 +29,9 @@
 //!   oscillators' range, and `c`.
 //! - **Context:** once an exchange: two 128-bit products and one 64-bit division.
 
-use super::wide::Reciprocal;
+use super::wide::{Reciprocal, scale};
 use crate::time::{LocalTicks, PeerTicks, Rate};
+use crate::widening::product;
 
 /// Between what the truth lies, relative to some reference.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,8 +41,8 @@ pub(super) struct Interval {
 }
 
 impl Interval {
-    /// All there is.
-    const ALL: Self = Self { lowest: i64::MIN, highest: i64::MAX };
+    /// All there is. Nothing else is over 2^47, so that no sum of a few is longer than 63 bits.
+    const ALL: Self = Self { lowest: -1 << 62, highest: 1 << 62 };
 
     /// As far to either side.
     const fn around(reach: i64) -> Self {
@@ -50,10 +51,7 @@ impl Interval {
 
     /// The same, wider by `by` to either side, relative to a reference `moved` later.
     pub(super) const fn widened(self, by: i64, moved: i64) -> Self {
-        Self {
-            lowest: self.lowest.saturating_sub(moved).saturating_sub(by),
-            highest: self.highest.saturating_sub(moved).saturating_add(by),
-        }
+        Self { lowest: self.lowest - moved - by, highest: self.highest - moved + by }
     }
 
     /// What both allow, or `None` where they contradict each other.
@@ -63,8 +61,8 @@ impl Interval {
     }
 
     /// From end to end; what is over 2^30 steps, 4 s, counts as that.
-    fn width(self) -> i64 {
-        self.highest.saturating_sub(self.lowest).min(1 << 30)
+    fn width(self) -> u32 {
+        narrow((self.highest - self.lowest).clamp(0, 1 << 30))
     }
 
     /// The nearest there is to `value`.
@@ -98,9 +96,11 @@ pub(super) struct Certain {
     /// What the rate is within before anything was measured, 2^−40, either way.
     range: i64,
     /// What the rate gains at most in 2^28 steps (1.05 s), 2^−32.
-    ramp: i64,
+    ramp: u32,
     /// The farthest of `rate` from the estimate.
     drift: Rate,
+    /// What it gains in [`LIFE`].
+    in_life: Rate,
     older: Anchor,
     newer: Anchor,
 }
@@ -111,16 +111,18 @@ impl Certain {
         let none = Anchor { at: LocalTicks::ZERO, peer: PeerTicks::ZERO, offset: Interval::ALL };
         let widest = (range.bits() as i64) << 8;
         // 2^20 over 10^6
-        let ramp = (ramp.bits().unsigned_abs() as i64 * 1_049 / 1_000) + 1;
-        Self {
+        let ramp = narrow((ramp.bits().unsigned_abs() as i64 * 1_049 / 1_000) + 1);
+        let new = Self {
             reference: none,
             rate: Interval::around(widest),
             range: widest,
             ramp,
             drift: range,
+            in_life: Rate::ZERO,
             older: none,
             newer: none,
-        }
+        };
+        Self { in_life: new.ramped(LIFE), ..new }
     }
 
     /// How far the estimated rate is from the true one at most, at the last exchange.
@@ -130,17 +132,37 @@ impl Certain {
 
     /// What the rate gains at most in `steps`, which are not negative.
     pub(super) const fn ramped(&self, steps: i64) -> Rate {
-        Rate::saturated((self.ramp.saturating_mul(steps) >> 28) + 1)
+        let gained = if steps >> 32 == 0 {
+            // 36 bits
+            (product(self.ramp, narrow(steps)) >> 28).cast_signed()
+        } else {
+            scale(steps, self.ramp, 28)
+        };
+        if gained < i32::MAX as i64 {
+            Rate::from_bits(narrow(gained).cast_signed() + 1)
+        } else {
+            Rate::from_bits(i32::MAX)
+        }
+    }
+
+    /// The same in what an estimate lives on without news.
+    pub(super) const fn ramped_in_life(&self) -> Rate {
+        self.in_life
     }
 
     /// How far the estimate, which is the reference, is from the truth at most, `steps` before or after it.
     pub(super) const fn reach(&self, steps: i64) -> u64 {
-        self.reference.offset.reach(0).saturating_add(self.widening(steps)).cast_unsigned()
+        self.reference.offset.reach(0).saturating_add(self.widening(steps, self.ramped(steps))).cast_unsigned()
     }
 
     /// What the interval gains in `steps`, which are not negative: the rate's uncertainty, and half of what that gains meanwhile.
-    const fn widening(&self, steps: i64) -> i64 {
-        self.drift.over(steps).saturating_add(self.ramped(steps).over(steps) >> 1).saturating_add(3)
+    const fn widening(&self, steps: i64, ramped: Rate) -> i64 {
+        if steps >> 32 == 0 {
+            // 32 bits each
+            let steps = narrow(steps);
+            return self.drift.over_short(steps) + (ramped.over_short(steps) >> 1) + 3;
+        }
+        self.drift.over(steps).saturating_add(ramped.over(steps) >> 1).saturating_add(3)
     }
 
     /// Begins with one exchange: the estimate is `peer` at `at`. Returns how far it has to move to be inside.
@@ -151,19 +173,20 @@ impl Certain {
     }
 
     /// Whether an exchange `steps` later that says `said`, relative to the prediction, agrees with what was certain; the intersection.
-    pub(super) fn later(&self, steps: i64, said: Interval) -> Option<Interval> {
-        self.reference.offset.widened(self.widening(steps), 0).and(said)
+    /// `ramped` is what [`Certain::ramped`] says of `steps`.
+    pub(super) fn later(&self, steps: i64, ramped: Rate, said: Interval) -> Option<Interval> {
+        self.reference.offset.widened(self.widening(steps, ramped), 0).and(said)
     }
 
     /// Moves the reference to an exchange `steps` later, where the estimate is `peer` and the truth within `offset` of that. Returns how
     /// far the estimate has to move to be inside, or `None` where the rates contradict each other.
-    pub(super) fn advance(&mut self, steps: i64, peer: PeerTicks, offset: Interval) -> Option<i64> {
+    pub(super) fn advance(&mut self, steps: i64, ramped: Rate, peer: PeerTicks, offset: Interval) -> Option<i64> {
         let at = self.reference.at.shifted(steps);
         self.reference = Anchor { at, peer, offset };
-        let ramped = i64::from(self.ramped(steps).bits()) << 8;
         let since = self.reference.at.steps_after(self.older.at);
         let slope = self.slope(since)?.widened(i64::from(self.ramped(since).bits()) << 7, 0);
-        self.rate = self.rate.widened(ramped, 0).and(slope)?.and(Interval::around(self.range))?;
+        self.rate =
+            self.rate.widened(i64::from(ramped.bits()) << 8, 0).and(slope)?.and(Interval::around(self.range))?;
         self.choose_anchors();
         let out = offset.nearest(0);
         self.reference.peer = peer.shifted(out);
@@ -178,11 +201,11 @@ impl Certain {
         let width = now.offset.width();
         let (age, since) = (now.at.steps_after(self.newer.at), now.at.steps_after(self.older.at));
         // by which of two times, so that nothing is divided; ages are cut at 2^40 steps (72 min), so that no product is over 2^59
-        let long = |age: i64| age.clamp(0, 1 << 40) >> 12;
-        let older_slope = (self.older.offset.width() + width) * long(age);
-        let newer_slope = (self.newer.offset.width() + width) * long(since);
+        let long = |age: i64| narrow(age.clamp(0, 1 << 40) >> 12);
+        let older_slope = product(self.older.offset.width() + width, long(age));
+        let newer_slope = product(self.newer.offset.width() + width, long(since));
         // c·T²/2 > w/4
-        if self.ramped(age).over(age) > width >> 1 || newer_slope < older_slope {
+        if self.ramped(age).over(age) > i64::from(width >> 1) || newer_slope < older_slope {
             (self.older, self.newer) = (self.newer, now);
         } else if width < self.newer.offset.width() >> 1 {
             self.newer = now;
@@ -203,11 +226,11 @@ impl Certain {
             return Some(Interval::ALL);
         }
         let (now, then) = (self.reference, self.older);
-        let rise = now.peer.steps_after(then.peer).saturating_sub(since);
-        let lowest = rise.saturating_add(now.offset.lowest).saturating_sub(then.offset.highest);
-        let highest = rise.saturating_add(now.offset.highest).saturating_sub(then.offset.lowest);
+        let rise = now.peer.steps_after(then.peer).saturating_sub(since).clamp(-MOST, MOST);
+        let lowest = rise + now.offset.lowest - then.offset.highest;
+        let highest = rise + now.offset.highest - then.offset.lowest;
         let over = Reciprocal::of(since);
-        let rate = |steps: i64| over.times(steps.clamp(-MOST, MOST) << 16, 24);
+        let rate = |steps: i64| over.times(steps << 16, 24);
         // a quotient is a part in 2^30 and a unit off at most
         let (lowest, highest) = (rate(lowest), rate(highest));
         let between =
@@ -224,6 +247,16 @@ impl Certain {
         out
     }
 }
+
+/// What is known to be of 32 bits.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "cut before")]
+const fn narrow(value: i64) -> u32 {
+    value as u32
+}
+
+/// What an estimate lives on without news, 2.5 s: its drift counts for what the rate may gain in that time, and so covers what the
+/// square of the time adds in twice as long.
+const LIFE: i64 = 640_000_000;
 
 /// Steps that still fit when they are taken as µs in Q24; what is farther counts as that.
 const MOST: i64 = 1 << 46;

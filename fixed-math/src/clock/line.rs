@@ -23,6 +23,29 @@ impl TimeLine {
     /// System time when the counter reads `local`, rounded down to a step; before and after `at` alike. Saturates.
     #[must_use]
     pub const fn system_at(&self, local: LocalTicks) -> NetTime {
+        self.read(local)
+    }
+
+    /// [`TimeLine::system_at`], in line.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "for the map's reading in an interrupt")]
+    pub(super) const fn read(&self, local: LocalTicks) -> NetTime {
+        let (now, then) = (local.steps(), self.at.steps());
+        let since = now.wrapping_sub(then);
+        if now < then || since >> 32 != 0 {
+            return self.system_at_any(local);
+        }
+        // up to 16 s after `at`, which is nearly always: what is left of the carries and ends of the other
+        #[expect(clippy::cast_possible_truncation, reason = "below 2^32")]
+        let gained = self.rate.over_short(since as u32);
+        // a rate is above −1
+        NetTime::from_steps(self.system.steps().saturating_add((since.cast_signed() + gained).cast_unsigned()))
+    }
+
+    /// [`TimeLine::system_at`] of any reading.
+    #[cold]
+    #[inline(never)]
+    const fn system_at_any(&self, local: LocalTicks) -> NetTime {
         self.system.shifted(forwards(self.rate, local.steps_after(self.at)))
     }
 

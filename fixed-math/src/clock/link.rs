@@ -14,7 +14,7 @@ use super::covariance::{CAP, Covariance, Gains};
 use super::interval::{Certain, Interval};
 use super::line::{Estimate, PeerEstimate, TimeLine, backwards, distance, forwards, grown};
 use super::roundtrip::ShortestRoundTrip;
-use super::wide::{Reciprocal, hypotenuse, mul_shift, root_ceil};
+use super::wide::{Reciprocal, hypotenuse, hypotenuse_of_square, root_up, scale_or_more, square};
 use super::{Exchange, Fault, LinkTraits};
 use crate::time::{LocalTicks, PeerTicks, Rate, Span};
 
@@ -44,9 +44,6 @@ const SETTLED: u32 = 32;
 const GATE_LOG2: u32 = 5;
 /// Sigmas of the rate beforehand that count as certain.
 const CERTAIN: i64 = 6;
-/// What an estimate lives on without news, 2.5 s: its drift counts for what the rate may gain in that time, and so covers what the
-/// square of the time adds in twice as long.
-const LIFE: i64 = 640_000_000;
 
 /// What was refused last, in case it goes on.
 #[derive(Clone, Copy, Debug)]
@@ -166,7 +163,7 @@ impl LinkClock {
             self.start(exchange, &measured);
             return Ok(());
         }
-        let moved = self.above + mul_shift(self.skew, steps, 24);
+        let moved = self.above + scale_or_more(self.skew, steps, 24);
         // the exchange's `heard` against the prediction, whole steps
         let ahead = exchange.heard.steps_after(self.peer).saturating_sub(steps);
         if distance(ahead) > OFFSET_MAX {
@@ -210,7 +207,11 @@ impl LinkClock {
     /// The peer's counter when one's own reads `local`.
     #[must_use]
     pub const fn peer_at(&self, local: LocalTicks) -> PeerTicks {
-        self.peer.shifted(forwards(self.rate(), local.steps_after(self.at)))
+        self.peer_after(local.steps_after(self.at), self.rate())
+    }
+
+    const fn peer_after(&self, steps: i64, rate: Rate) -> PeerTicks {
+        self.peer.shifted(forwards(rate, steps))
     }
 
     /// One's own counter when the peer's reads `peer`.
@@ -237,28 +238,31 @@ impl LinkClock {
         if !self.is_started() {
             return Span::MAX;
         }
-        let variance = match self.covariance.after(distance(local.steps_after(self.at)), self.agility()) {
-            Some(later) => later.offset,
-            // so long ago that only the rate counts
-            None => return self.bound_at(local),
-        };
+        let away = distance(local.steps_after(self.at));
+        let Some(variance) = self.variance_after(away) else { return Span::from_steps(self.bound_after(away)) };
         // µs² in Q36 is µs in Q18, of which 10 bits are below a step
-        Span::from_steps((root_ceil(variance).cast_unsigned() >> 10) + 1)
+        Span::from_steps((root_up(variance.cast_unsigned()) >> 10) + 1)
+    }
+
+    /// The square of that `away` from the last exchange, µs² in Q36; `None` so far that only the rate counts.
+    const fn variance_after(&self, away: i64) -> Option<i64> {
+        self.covariance.offset_after(away, self.agility())
     }
 
     /// How far [`LinkClock::peer_at`] is from the truth at most; the longest span before the first exchange.
     #[must_use]
     pub const fn bound_at(&self, local: LocalTicks) -> Span {
-        if !self.is_started() {
-            return Span::MAX;
-        }
-        Span::from_steps(self.certain.reach(distance(local.steps_after(self.at))))
+        Span::from_steps(self.bound_after(distance(local.steps_after(self.at))))
+    }
+
+    const fn bound_after(&self, away: i64) -> u64 {
+        if self.is_started() { self.certain.reach(away) } else { u64::MAX }
     }
 
     /// How fast the bound grows: how far the rate can be off, and what it may gain in 2.5 s.
     #[must_use]
     pub const fn drift(&self) -> Rate {
-        self.certain.drift().plus(self.certain.ramped(LIFE))
+        self.certain.drift().plus(self.certain.ramped_in_life())
     }
 
     /// Time on the way there and back in the last exchange, in the peer's units.
@@ -277,22 +281,29 @@ impl LinkClock {
     /// squares; the bounds add.
     #[must_use]
     pub fn compose(&self, peer: &PeerEstimate, at: LocalTicks) -> Estimate {
-        let there = self.peer_at(at);
+        let (steps, own_rate) = (at.steps_after(self.at), self.rate());
+        let away = distance(steps);
+        let there = self.peer_after(steps, own_rate);
         let since = there.steps_after(peer.at);
         let system = peer.system.shifted(forwards(peer.rate, since));
-        let (mine, its) = (i64::from(self.rate().bits()), i64::from(peer.rate.bits()));
-        let rate = Rate::saturated(mine + its + ((mine * its) >> 32));
+        let (mine, its) = (i64::from(own_rate.bits()), i64::from(peer.rate.bits()));
+        let rate = Rate::saturated(mine + its + own_rate.over(its));
         // in the peer's steps; system time's are longer or shorter by the rate
-        let bound = self.bound_at(at).steps();
+        let own_bound = self.bound_after(away);
         let longer =
-            grown(Rate::from_bits(peer.rate.bits().saturating_abs()), i64::try_from(bound).unwrap_or(i64::MAX));
-        let bound = bound.saturating_add(longer).saturating_add(peer.bound.steps());
+            grown(Rate::from_bits(peer.rate.bits().saturating_abs()), i64::try_from(own_bound).unwrap_or(i64::MAX));
+        let bound = own_bound.saturating_add(longer).saturating_add(peer.bound.steps());
         let bound = bound.saturating_add(grown(peer.drift, distance(since))).saturating_add(1);
         // the peer's drift is per unit of its counter: a 16th more covers any rate there is
         let drift = i64::from(self.drift().bits()) + i64::from(peer.drift.bits().max(0));
+        let error = match self.variance_after(away).filter(|_| self.is_started()) {
+            // µs² in Q36 are steps² in Q20
+            Some(variance) => hypotenuse_of_square((variance.cast_unsigned() >> 20) + 1, peer.error.steps()),
+            None => hypotenuse(own_bound, peer.error.steps()),
+        };
         Estimate {
             line: TimeLine { at, system, rate },
-            error: Span::from_steps(hypotenuse(self.error_at(at).steps(), peer.error.steps())),
+            error: Span::from_steps(error),
             bound: Span::from_steps(bound),
             drift: Rate::saturated(drift + (drift >> 4) + 1),
         }
@@ -312,11 +323,13 @@ impl LinkClock {
         let (rate, half) = (self.rate(), away >> 1);
         let (tick, late) = (cut(self.traits.tick.steps(), EXCHANGE_MAX), cut(self.traits.late.steps(), EXCHANGE_MAX));
         let (before, after) = (half + late, away - half + tick);
+        // as `forwards`; none is over 2^35
+        let theirs = |steps: i64| steps + rate.over(steps);
         let since = if self.is_started() { distance(sent.steps_after(self.at)) } else { 0 };
         let slack = self.certain.drift().plus(self.certain.ramped(since)).over(before.max(after)) + 2;
         let certain = Interval {
-            lowest: turn - late + self.back - forwards(rate, after) - slack,
-            highest: tick - self.there + forwards(rate, before) + slack,
+            lowest: turn - late + self.back - theirs(after) - slack,
+            highest: tick - self.there + theirs(before) + slack,
         };
         if certain.lowest > certain.highest {
             return Err(Fault::RoundTrip);
@@ -326,7 +339,7 @@ impl LinkClock {
         Ok(Measured {
             at: sent.shifted(half),
             after_heard: (turn << (BELOW_STEP - 1)) - odd - asymmetry,
-            round_trip: forwards(rate, away) - turn,
+            round_trip: theirs(away) - turn,
             certain,
         })
     }
@@ -373,7 +386,7 @@ impl LinkClock {
             // so far from the last that the two make a slope, and what was known of offset says nothing
             let over = Reciprocal::of(steps);
             let slope = over.times(surprise, 24);
-            let known = self.covariance.skew.saturating_add(mul_shift(agility, steps, 24));
+            let known = self.covariance.skew.saturating_add(scale_or_more(agility, steps, 24));
             if is_beyond(slope, known) {
                 return None;
             }
@@ -403,8 +416,9 @@ impl LinkClock {
         let correction = whole - (moved >> BELOW_STEP);
         self.at = self.at.shifted(steps);
         self.settle(self.peer.shifted(steps.saturating_add(whole)), self.above & 0xffff);
-        let both = self.certain.later(steps, said);
-        let out = both.and_then(|both| self.certain.advance(steps, self.peer, both.widened(0, correction)));
+        let ramped = self.certain.ramped(steps);
+        let both = self.certain.later(steps, ramped, said);
+        let out = both.and_then(|both| self.certain.advance(steps, ramped, self.peer, both.widened(0, correction)));
         let out = out.unwrap_or_else(|| {
             self.contradictions = self.contradictions.saturating_add(1);
             self.certain.start(self.at, self.peer, said.widened(0, correction))
@@ -509,8 +523,8 @@ const fn agility_at_first(ramp: Rate) -> i8 {
 
 /// The square of µs in Q24, as µs² in Q36; `None` from 8.2 ms on.
 fn square_q36(value: i64) -> Option<i64> {
-    let value = value >> 6;
-    (distance(value) < 1 << 31).then(|| value * value)
+    let value = (value >> 6).unsigned_abs();
+    u32::try_from(value).ok().filter(|value| value >> 31 == 0).map(|value| square(value).cast_signed())
 }
 
 /// Whether the square of `surprise` (µs in Q24) is 2^[`GATE_LOG2`] times `variance` (µs² in Q36), or more.

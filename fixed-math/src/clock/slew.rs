@@ -7,7 +7,9 @@
 //!   is four 64-bit divisions.
 
 use super::line::{TimeLine, distance};
+use super::wide::Reciprocal;
 use crate::time::{LocalTicks, NetTime, Rate, Span};
+use crate::widening::product;
 
 /// Fastest slew there is, a quarter: a map slewed against a line of the slowest rate still rises.
 const LIMIT_MAX: Rate = Rate::from_bits(1 << 30);
@@ -53,10 +55,7 @@ impl SlewedMap {
             return;
         }
         let limit = limit.bits().clamp(1, LIMIT_MAX.bits()).cast_unsigned();
-        let wanted = quotient_q32(away, horizon.steps());
-        let slew = u32::try_from(wanted).unwrap_or(u32::MAX).clamp(1, limit);
-        let needed = quotient_q32(away, u64::from(slew));
-        // the distance shrinks by `slew` 2^−32 a step
+        let (slew, needed) = slew_of(away, horizon.steps().max(1), limit);
         let meeting = now + Span::from_steps(needed);
         let slew = i64::from(slew);
         let rate = Rate::saturated(i64::from(target.rate.bits()) + if behind > 0 { slew } else { -slew });
@@ -67,12 +66,11 @@ impl SlewedMap {
     /// System time when the counter reads `local`.
     #[must_use]
     pub fn system_at(&self, local: LocalTicks) -> NetTime {
-        if local >= self.meeting {
-            self.target.system_at(local)
-        } else {
-            // the last steps of a lead may be past the target by rounding, and time never runs backwards
-            self.lead.system_at(local).min(self.met)
-        }
+        let is_met = local >= self.meeting;
+        let line = if is_met { &self.target } else { &self.lead };
+        let system = line.read(local);
+        // the last steps of a lead may be past the target by rounding, and time never runs backwards
+        if is_met || system < self.met { system } else { self.met }
     }
 
     /// When the counter will read, or has read, `system`; to a step.
@@ -104,7 +102,34 @@ impl SlewedMap {
     }
 }
 
+/// How fast `away` steps are taken off, 2^−32, and in how many steps: in `horizon`, or at `limit` where that takes longer.
+///
+/// The distance shrinks by the slew a step, and is none at the end, or past none: by less than a step where both are short. Then the
+/// slew is up to three above the least that would do, which makes 3/4 of a step in 2^30; or the time is up to three steps long, which is
+/// 3/4 of a step at the fastest.
+fn slew_of(away: u64, horizon: u64, limit: u32) -> (u32, u64) {
+    if away >> 28 == 0
+        && let Ok(horizon) = u32::try_from(horizon)
+        && horizon >> 30 == 0
+    {
+        let away = away.cast_signed();
+        if away.cast_unsigned() <= product(limit, horizon) >> 32 {
+            // 2^30 at most, of which a quotient's error is less than one, and another for rounding
+            let slew = Reciprocal::of(horizon.into()).times(away, 32) + 2;
+            return (u32::try_from(slew).unwrap_or(limit).min(limit), horizon.into());
+        }
+        let (over, slew) = (Reciprocal::of(limit.into()), i64::from(limit));
+        let near = over.times(away, 32);
+        // up to 2^60, and so once more with what is left
+        let rest = (away << 32).wrapping_sub(near.wrapping_mul(slew));
+        return (limit, (near + over.times(rest, 0) + 2).cast_unsigned());
+    }
+    let slew = u32::try_from(quotient_q32(away, horizon)).unwrap_or(limit).min(limit);
+    (slew, quotient_q32(away, slew.into()))
+}
+
 /// `(numerator · 2^32) / denominator`, rounded up, saturating: two divisions of 64 bits. Of zero as of one.
+#[cold]
 const fn quotient_q32(numerator: u64, denominator: u64) -> u64 {
     let denominator = if denominator == 0 { 1 } else { denominator };
     let (whole, rest) = (numerator / denominator, numerator % denominator);
