@@ -150,8 +150,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         if let Some(estimate) = gateway.peer.estimate() {
             let offset = estimate.line.system_at(started).steps_after(self.clock.map().system_at(started));
             if self.clock.is_absurd(estimate.line.system_at(started), started, reply.root.unique_id) {
-                gateway.peer.said = None;
-                gateway.peer.outlier(stamps, Span::from_steps(reply.tick_steps.into()));
+                gateway.peer.strange_time();
                 return Err(DropCause::TimeAbsurd);
             }
             gateway.peer.average(offset, self.clock.settings().filter_q16);

@@ -105,6 +105,8 @@ pub(crate) struct Peer {
     sequence: u8,
     burst: u8,
     outliers: u8,
+    /// Replies in a row whose counters agree, but not the system time they tell.
+    strange: u8,
     /// One of the two counters runs on no crystal: no rate of crystals explained what was heard.
     is_rc: bool,
     /// Its system time less ours at the last exchange, and its average.
@@ -131,6 +133,7 @@ impl Peer {
             sequence: 0,
             burst: 0,
             outliers: 0,
+            strange: 0,
             is_rc: false,
             offset_steps: 0,
             filtered_steps: None,
@@ -225,7 +228,7 @@ impl Peer {
         self.link.restart(hot);
         self.said = None;
         self.filtered_steps = None;
-        self.outliers = 0;
+        (self.outliers, self.strange) = (0, 0);
     }
 
     /// Sets how much longer the way there is than the way back, and begins anew with it, `[TIM-13]`.
@@ -395,6 +398,15 @@ impl Peer {
         }
     }
 
+    /// One more reply whose system time is too far off; after too many in a row what was known is forgotten.
+    pub(crate) fn strange_time(&mut self) {
+        self.said = None;
+        self.strange += 1;
+        if self.strange >= OUTLIERS_MAX {
+            self.forget();
+        }
+    }
+
     /// What is promised of the two counters' rates.
     const fn oscillators(&self) -> LinkTraits {
         if self.is_rc { LinkTraits::RC } else { LinkTraits::CRYSTAL }
@@ -415,6 +427,7 @@ impl Peer {
 
     /// Takes the offset of the last exchange into the average, `[TIM-11]`.
     pub(crate) fn average(&mut self, offset_steps: i64, weight_q16: i32) {
+        self.strange = 0;
         self.offset_steps = offset_steps;
         self.filtered_steps = Some(self.filtered_steps.map_or(offset_steps, |was| ewma(was, offset_steps, weight_q16)));
     }
