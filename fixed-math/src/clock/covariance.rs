@@ -5,7 +5,8 @@
 //! - **Invariants:** both states are microseconds, since the skew is taken as what it adds to the offset in a unit of 2^16 µs (65.5 ms);
 //!   so all three entries are µs² in Q36, 15 (µm)² fine. A span in steps of 2^−8 µs is that many units in Q24, and every product by time
 //!   is one shift by 24. The diagonal is at least [`OFFSET_FLOOR`] and [`SKEW_FLOOR`] and at most [`CAP`].
-//! - **Context:** once an exchange: ten 128-bit products and one 64-bit division.
+//! - **Context:** once an exchange: twelve products longer than 64 bits, most of which have factors of 32 bits once the link has settled,
+//!   and one reciprocal.
 
 use super::wide::{Reciprocal, mul_shift, scale, scale_or_more};
 use crate::widening::product;

@@ -27,7 +27,7 @@
 //! - **Walk:** [`LinkClock::observe`](super::LinkClock::observe) and [`LinkClock::bound_at`](super::LinkClock::bound_at).
 //! - **Invariants:** every rounding widens. What is certain rests on three promises and on nothing measured: the departure stamps', the
 //!   oscillators' range, and `c`.
-//! - **Context:** once an exchange: two 128-bit products and one 64-bit division.
+//! - **Context:** once an exchange: two products longer than 64 bits, and one reciprocal.
 
 use super::wide::{Reciprocal, scale};
 use crate::time::{LocalTicks, PeerTicks, Rate};
@@ -230,7 +230,8 @@ impl Certain {
         let lowest = rise + now.offset.lowest - then.offset.highest;
         let highest = rise + now.offset.highest - then.offset.lowest;
         let over = Reciprocal::of(since);
-        let rate = |steps: i64| over.times(steps << 16, 24);
+        // over a few steps that is anything; no rate is over 2^40
+        let rate = |steps: i64| over.times(steps << 16, 24).clamp(-1 << 46, 1 << 46);
         // a quotient is a part in 2^30 and a unit off at most
         let (lowest, highest) = (rate(lowest), rate(highest));
         let between =

@@ -2,7 +2,7 @@
 //!
 //! - **Walk:** the clock service gathers a [`Neighbour`] for each link → [`Servo::steer`] → the [`SlewedMap`].
 //! - **Invariants:** none but [`Oldest`] ever steps a map, and that only forwards, to a clock that is substantially older.
-//! - **Context:** once an interval; one 64-bit division, or two for the estimator.
+//! - **Context:** once an interval; one 64-bit division, or for the estimator what a new target of its map takes.
 
 use super::line::{Estimate, TimeLine};
 use super::slew::SlewedMap;

@@ -2,7 +2,8 @@
 //!
 //! - **Walk:** [`covariance`](super::covariance) and [`link`](super::link) multiply by gains, spans and reciprocals here.
 //! - **Invariants:** what does not fit saturates towards its own sign; no division by zero; no panic.
-//! - **Context:** once an exchange, not in an interrupt.
+//! - **Context:** once an exchange, not in an interrupt. Made of 32-bit products for processors that have no longer ones
+//!   ([`widening`](crate::widening)); on a Cortex-M0+ [`scale`] is 65 to 110 cycles, [`mul_shift`] 155, a reciprocal 230, a root 220.
 
 use crate::widening::{product, product_signed};
 
@@ -184,6 +185,9 @@ pub(super) fn root_up(square: u64) -> u64 {
     };
     rest = rest.saturating_add(u32::from(cut));
     let (mut root, mut bit) = (0, 1 << 30);
+    while bit > rest {
+        bit >>= 2;
+    }
     while bit != 0 {
         let taken = root + bit;
         root >>= 1;

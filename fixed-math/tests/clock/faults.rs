@@ -324,3 +324,22 @@ fn a_mean_of_equals() {
     let later = mean.bound_at(LocalTicks::from_us(1_001_000));
     assert!((us(later) - us(mean.bound) - 1.0).abs() < 3.0 / 256.0, "{later:?}");
 }
+
+/// Two exchanges of a minute each, a step apart: a slope between them is anything, and longer than any number here. The bound stays what one
+/// of them says, half of its round trip and what the rate adds in that: 30 s and a little.
+#[test]
+fn a_slope_over_a_step_says_nothing() {
+    let mut link = LinkClock::new(LinkTraits::CRYSTAL);
+    for later in 0..3 {
+        let exchange = Exchange {
+            sent: LocalTicks::from_steps(later),
+            heard: PeerTicks::from_steps((1 << 40) + 2 * later),
+            answered: PeerTicks::from_steps((1 << 40) + 2 * later + 1),
+            received: LocalTicks::from_steps(later + 256 * 60_000_000),
+        };
+        assert_eq!(link.observe(&exchange), Ok(()), "{later}");
+        let bound = link.bound_at(LocalTicks::from_us(30_000_000)).as_us_ceil();
+        assert!((30_000_000..30_100_000).contains(&bound), "{later} {bound}");
+    }
+    assert_eq!(link.contradictions(), 0);
+}
