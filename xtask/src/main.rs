@@ -1,10 +1,11 @@
 //! `cargo xtask`: the only build driver. What a person, a hook or CI runs goes through here.
 //!
 //! This file is the command line and nothing else: [`stages`] has the commands, [`setup`] what a machine needs,
-//! [`toolchain`] which compiler builds for a chip, [`images`] what is built, [`size`] what it takes, [`flash`] how it comes onto a board, [`hil`] how emulators run it, [`report`] what `test` closes with, [`tally`]
+//! [`toolchain`] which compiler builds for a chip, [`images`] what is built, [`size`] what it takes, [`flash`] how it comes onto a board, [`hil`] how emulators run it, [`clock`] how clocks are measured, [`report`] what `test` closes with, [`tally`]
 //! how tests are counted, [`run`] how programs are started, and [`picture`] how the demonstration is drawn.
 #![forbid(unsafe_code)]
 
+mod clock;
 mod elf;
 mod flash;
 mod hil;
@@ -103,6 +104,18 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
+    /// Measure clocks in the simulator, on emulated images and on this computer: one table, and plots
+    Clock {
+        /// Fewer seeds and shorter runs
+        #[arg(long)]
+        quick: bool,
+        /// A page of plots to write
+        #[arg(long, value_name = "FILE")]
+        html: Option<std::path::PathBuf>,
+        /// A JSON document to write
+        #[arg(long, value_name = "FILE")]
+        json: Option<std::path::PathBuf>,
+    },
     /// Draw the output of `osap demo` to docs/demo.svg
     DemoPicture {
         /// Write nothing; fail where the committed picture differs
@@ -156,6 +169,7 @@ fn main() -> ExitCode {
             stages::fuzz(inputs, seed, &target)
         }
         Command::Bench { arguments } => stages::bench(&arguments),
+        Command::Clock { quick, html, json } => clock::clock(quick, html, json),
         Command::DemoPicture { check } => picture::demo(check),
         Command::Docs => stages::docs(),
     };

@@ -177,6 +177,18 @@ impl Program {
         Ok(String::from_utf8_lossy(&output.stdout).into_owned())
     }
 
+    /// As [`Program::capture`], whether it succeeds or not: a program may fail because of what it found, and tell that. An error where it
+    /// said nothing.
+    pub(crate) fn capture_all(mut self) -> Result<String, Error> {
+        let shown = self.announce();
+        let output = self.command.stderr(Stdio::inherit()).output();
+        let output = output.map_err(|source| Error::Start { command: shown.clone(), source })?;
+        if output.stdout.is_empty() {
+            succeeded(shown, output.status)?;
+        }
+        Ok(String::from_utf8_lossy(&output.stdout).into_owned())
+    }
+
     /// Runs it unseen and returns its standard output, or `None` where it is missing or fails: a question, not a step.
     pub(crate) fn ask(mut self) -> Option<String> {
         let output = self.command.output().ok().filter(|output| output.status.success())?;

@@ -8,7 +8,7 @@
 use super::{CRYSTAL_PPM, UART, gateway, micros, sim_factory};
 use crate::device::SIM_GATEWAYS;
 use crate::processor::Processor;
-use crate::time::{ClockModel, Ramp, TrueTime};
+use crate::time::{ClockModel, Ramp, TrueTime, Wander};
 use crate::world::{LinkId, LinkModel, NodeId, StampModel, World};
 use firmware_app::kind;
 use fixed_math::time::Span;
@@ -23,6 +23,13 @@ pub const PICO_125_MHZ: Processor = Processor {
     forward: micros(12, 0),
 };
 
+/// How far an RC oscillator may be off, ppm.
+pub const RC_PPM: f64 = 10_000.0;
+
+/// An RC oscillator in a room: its rate goes by 17 ppm a second at most, where the three ramps go the same way (10.06 times
+/// `ppm_max / period_s`). That is within what estimators are told of such oscillators, 20 ppm a second.
+pub const RC_SLOW: Wander = Wander { ppm_max: 100.0, period_s: 60.0, seed: 0 };
+
 /// What the nodes and links are like.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClockWorld {
@@ -30,6 +37,10 @@ pub struct ClockWorld {
     pub crystal_ppm: f64,
     /// What each crystal's rate does over time; every other node's goes downwards first.
     pub ramp: Ramp,
+    /// All nodes but the first run on RC oscillators instead, which are off by up to [`RC_PPM`] and wander like this, each by itself.
+    pub rc: Option<Wander>,
+    /// What the first node's counter reads when it boots, and by how much less each next one's reads, µs.
+    pub counts_from_us: [u64; 2],
     /// What each timer counts in.
     pub tick: Span,
     /// How well each node stamps.
@@ -48,6 +59,8 @@ impl ClockWorld {
     pub const FIGURES: Self = Self {
         crystal_ppm: CRYSTAL_PPM,
         ramp: Ramp { ppm_per_s: 0.01, ppm_max: 2.0 },
+        rc: None,
+        counts_from_us: [0; 2],
         tick: Span::from_us(1),
         stamps: StampModel { delayed_part: 0.3, delay_mean: Span::from_us(8), ..StampModel::EXACT },
         // the images' round trips spread over 2.6 µs in three jobs
@@ -97,15 +110,28 @@ pub fn tree(world: &mut World, nodes: usize, fan_out: usize, model: &ClockWorld)
     build(world, nodes, fan_out, model)
 }
 
+/// The counter of the `at`-th node.
+fn clock(world: &mut World, at: usize, model: &ClockWorld) -> ClockModel {
+    let [from_us, less_us] = model.counts_from_us;
+    let offset_us = from_us.saturating_sub(less_us.saturating_mul(at as u64));
+    let rc = model.rc.filter(|_| at > 0);
+    let drawn = world.draw_clock(if rc.is_some() { RC_PPM } else { model.crystal_ppm });
+    let clock = ClockModel { tick: model.tick, offset_us, ..drawn };
+    if let Some(wander) = rc {
+        // a seed of its own for each node of each drawing
+        let seed = drawn.rate_ppm.to_bits() ^ wander.seed;
+        return ClockModel { wander: Wander { seed, ..wander }, ..clock };
+    }
+    let turn = if at.is_multiple_of(2) { 1.0 } else { -1.0 };
+    ClockModel { ramp: Ramp { ppm_per_s: model.ramp.ppm_per_s * turn, ..model.ramp }, ..clock }
+}
+
 fn build(world: &mut World, nodes: usize, fan_out: usize, model: &ClockWorld) -> ClockTree {
     let mut it = ClockTree::default();
     let begins = world.now();
     for at in 0..nodes {
         let below = nodes.saturating_sub(at * fan_out + 1).min(fan_out);
-        let drawn = world.draw_clock(model.crystal_ppm);
-        let turn = if at % 2 == 0 { 1.0 } else { -1.0 };
-        let ramp = Ramp { ppm_per_s: model.ramp.ppm_per_s * turn, ..model.ramp };
-        let clock = ClockModel { tick: model.tick, ramp, ..drawn };
+        let clock = clock(world, at, model);
         let after = if at == 0 { Span::ZERO } else { world.draw_span(model.boots_within) };
         let kind = if below == 0 { &kind::MOTOR } else { &kind::HUB };
         let name = format!("{}-{at}", kind.type_name);

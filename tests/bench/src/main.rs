@@ -9,11 +9,13 @@ mod clock;
 mod overload;
 #[cfg(unix)]
 mod pty;
+mod report;
 mod runtime;
 mod scan;
 
 use clap::{Parser, Subcommand};
 use std::path::PathBuf;
+use std::process::ExitCode;
 
 /// Benchmarks of the project; each prints its conditions.
 #[derive(Parser)]
@@ -48,6 +50,9 @@ enum Bench {
         #[arg(long)]
         series: Option<PathBuf>,
     },
+    /// What `clock`, `clock-pty` and the emulated images found, as one table and a page of plots.
+    #[command(hide = true)]
+    ClockReport(report::Options),
     /// A host's clock over a real pseudo-terminal against a process with a synthetic counter, idle and under CPU load.
     #[cfg(unix)]
     ClockPty {
@@ -83,8 +88,9 @@ enum Bench {
     },
 }
 
-fn main() {
+fn main() -> ExitCode {
     match Args::parse().bench {
+        Some(Bench::ClockReport(options)) => return report::run(&options),
         Some(Bench::Runtime { messages }) => runtime::run(messages),
         Some(Bench::Overload { seconds }) => overload::run(seconds),
         Some(Bench::Scan { nodes, loops, seed }) => scan::run(nodes, loops, seed),
@@ -102,4 +108,5 @@ fn main() {
             pty::run(pty::Options { seconds: 60, skew_ppb: 40_000, json: false });
         }
     }
+    ExitCode::SUCCESS
 }
