@@ -155,5 +155,13 @@ pub(super) const fn distance(steps: i64) -> i64 {
 
 /// What a bound gains over `away` steps, rounded up; a negative drift, which a peer may send, gains nothing.
 pub(super) const fn grown(drift: Rate, away: i64) -> u64 {
-    if drift.bits() <= 0 || away == 0 { 0 } else { drift.over(away).saturating_add(1).cast_unsigned() }
+    if drift.bits() <= 0 || away == 0 {
+        0
+    } else if away >> 32 == 0 {
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "of 32 bits")]
+        let short = away as u32;
+        (drift.over_short(short) + 1).cast_unsigned()
+    } else {
+        drift.over(away).saturating_add(1).cast_unsigned()
+    }
 }

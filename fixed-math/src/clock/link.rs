@@ -7,7 +7,7 @@
 //!   interval of what is certainly so. No stamps make it panic, and none lock it out: [`RUN`] refused exchanges that agree with each
 //!   other start it anew.
 //! - **Context:** once an exchange. On a Cortex-M0+ an exchange is 6,000 cycles in the median and 7,200 at most, [`LinkClock::compose`]
-//!   2,000 and 2,300, [`LinkClock::error_at`] 900 and 1,200: 1 % of 125 MHz at 200 Hz. These are instructions of an emulator at the
+//!   1,900 and 2,150, [`LinkClock::error_at`] 900 and 1,200: 1 % of 125 MHz at 200 Hz. These are instructions of an emulator at the
 //!   manual's cycles, code in RAM, built as images are (`opt-level = "s"`), of 1,141 exchanges of three simulated links. Nothing divides:
 //!   two reciprocals an exchange ([`wide`](super::wide)) and one square root to compose.
 
@@ -18,6 +18,7 @@ use super::roundtrip::ShortestRoundTrip;
 use super::wide::{Reciprocal, hypotenuse, hypotenuse_of_square, root_up, scale_or_more, square};
 use super::{Exchange, Fault, LinkTraits};
 use crate::time::{LocalTicks, PeerTicks, Rate, Span};
+use crate::widening::product_signed;
 
 /// Refused exchanges that agree with each other and not with what was known, after which they are believed.
 pub const RUN: u8 = 8;
@@ -287,8 +288,8 @@ impl LinkClock {
         let there = self.peer_after(steps, own_rate);
         let since = there.steps_after(peer.at);
         let system = peer.system.shifted(forwards(peer.rate, since));
-        let (mine, its) = (i64::from(own_rate.bits()), i64::from(peer.rate.bits()));
-        let rate = Rate::saturated(mine + its + own_rate.over(its));
+        let (mine, its) = (own_rate.bits(), peer.rate.bits());
+        let rate = Rate::saturated(i64::from(mine) + i64::from(its) + (product_signed(mine, its) >> 32));
         // in the peer's steps; system time's are longer or shorter by the rate
         let own_bound = self.bound_after(away);
         let longer =
