@@ -18,6 +18,7 @@ use osap::core::{Completion, HostCore, Outcome};
 use osap::network::Network;
 use osap_protocol::PortIndex;
 use osap_protocol::discovery::{Query, TIER_FREE_RUNNING, TimeControl, VERSION, decode};
+use osap_protocol::time::{TimeReply, TimeRequest};
 use osap_runtime::sequenced::{Destination, Expect, Ticket};
 use serde_json::json;
 use std::path::Path;
@@ -46,6 +47,11 @@ const GOAL_RMS_US: f64 = 0.5;
 const GOAL_P999_US: f64 = 1.5;
 const GOAL_TEN_MS: f64 = 500.0;
 const GOAL_ONE_MS: f64 = 1_000.0;
+/// A reply is 65 bytes longer than a request: stamps at the ends of frames would put half that time between the two clocks, µs.
+#[expect(clippy::cast_precision_loss, reason = "two small numbers")]
+const END_BIAS_US: f64 = (TimeReply::LEN - TimeRequest::LEN) as f64 * 10.0 / (2.0 * 3.0);
+/// What is left of it may be two ticks of a stamp, 1/16 µs each, a step.
+const BIAS_US_MAX: f64 = 2.0 * 2.0 / 16.0;
 
 /// One answer of a chip, and the truth about it.
 #[derive(Clone, Copy, Debug)]
@@ -69,7 +75,7 @@ pub(super) fn run(context: &Context, ms: u64) -> Result<Report, Failure> {
     let mut report = Report::new();
     report.line(format!(
         "System time of real RP2040 images, co-simulated over {ms} virtual ms, against the truth; µs, times in ms since power-on of the chip. \
-         Timers of 1 µs; crystals of -35, +50 and -50 ppm with ramps of 0.01 ppm/s; seed {}",
+         Stamps of 1/16 µs; crystals of -35, +50 and -50 ppm with ramps of 0.01 ppm/s; seed {}",
         context.seed
     ));
     let mut rows = Vec::new();
@@ -84,7 +90,8 @@ pub(super) fn run(context: &Context, ms: u64) -> Result<Report, Failure> {
             report.datum(&format!("{name}-{steps}"), figures.json(samples));
         }
     }
-    let head = ["load", "steps", "samples", "rms", "p99.9", "max", "<10 after", "<1 after", "bound", "error/bound"];
+    let head =
+        ["load", "steps", "samples", "bias", "rms", "p99.9", "max", "<10 after", "<1 after", "bound", "error/bound"];
     report.line(table(&head, &rows));
     report.line("Loaded: the 15.6 kHz interrupt, 80 % of both wires both ways, and a user function of 20 ms at a time, on all chips.");
     Ok(report)
@@ -99,7 +106,7 @@ fn start(context: &Context, load: Load) -> Result<Bench, Failure> {
 fn wire_up(cosim: &mut Cosim, elf: &Path) -> Result<(), Failure> {
     for (number, (name, start_ns, ppm, _)) in (0u64..).zip(CHIPS) {
         let kind = if number == 0 { HUB } else { MOTOR };
-        cosim.chip(&crate::cosim::Chip { start_ns, ppm, ..pico(name, elf, 0xb0 + number, kind) })?;
+        cosim.chip(&crate::cosim::Chip { ppm, start_ns, ..pico(name, elf, 0xb0 + number, kind) })?;
     }
     cosim.port("host", (CHIPS[0].0, 0), BAUD, None)?;
     for pair in CHIPS.windows(2) {
@@ -259,6 +266,8 @@ fn next(network: &mut dyn Network, until: LocalTicks) -> Result<Option<Completio
 
 /// One row of the table.
 struct Figures {
+    /// The mean error, with its sign.
+    bias_us: f64,
     rms_us: f64,
     p999_us: f64,
     max_us: f64,
@@ -272,14 +281,20 @@ struct Figures {
 impl Figures {
     fn of(samples: &[Sample]) -> Option<Self> {
         let settled = samples.iter().filter(|sample| sample.since_start_ns >= SETTLED_NS_F64);
-        let mut errors: Vec<f64> = settled.map(|sample| sample.error_us.abs()).collect();
+        let mut errors: Vec<f64> = settled.map(|sample| sample.error_us).collect();
+        #[expect(clippy::cast_precision_loss, reason = "a few thousand samples")]
+        let count = errors.len() as f64;
+        let bias_us = errors.iter().sum::<f64>() / count;
+        for error in &mut errors {
+            *error = error.abs();
+        }
         errors.sort_by(f64::total_cmp);
         let bounded = samples.iter().filter_map(|sample| Some((sample.error_us.abs(), sample.bound_us?)));
         let mut bounds: Vec<f64> = bounded.clone().map(|(_, bound)| bound).collect();
         bounds.sort_by(f64::total_cmp);
-        #[expect(clippy::cast_precision_loss, reason = "a few thousand samples")]
-        let mean_square = errors.iter().map(|error| error * error).sum::<f64>() / errors.len() as f64;
+        let mean_square = errors.iter().map(|error| error * error).sum::<f64>() / count;
         Some(Self {
+            bias_us,
             rms_us: mean_square.sqrt(),
             p999_us: *errors.get((errors.len() * 999).div_ceil(1_000).checked_sub(1)?)?,
             max_us: *errors.last()?,
@@ -291,7 +306,7 @@ impl Figures {
     }
 
     fn row(&self, load: &str, steps: usize, samples: usize) -> Vec<String> {
-        let figures = [self.rms_us, self.p999_us, self.max_us];
+        let figures = [self.bias_us, self.rms_us, self.p999_us, self.max_us];
         let times = [self.within_ten_ms, self.within_one_ms];
         [load.to_owned(), steps.to_string(), samples.to_string()]
             .into_iter()
@@ -303,6 +318,10 @@ impl Figures {
 
     fn judge(&self, report: &mut Report, load: &str, steps: usize) {
         let place = format!("{load}, {steps} from the root");
+        report.check(
+            self.bias_us.abs() <= BIAS_US_MAX,
+            format!("{place}: bias {:.3} µs, at most {BIAS_US_MAX}; stamps at the ends of frames would make it {END_BIAS_US:.0}", self.bias_us),
+        );
         report.check(self.rms_us <= GOAL_RMS_US, format!("{place}: rms {:.3} µs of {GOAL_RMS_US}", self.rms_us));
         report.check(self.p999_us <= GOAL_P999_US, format!("{place}: p99.9 {:.3} µs of {GOAL_P999_US}", self.p999_us));
         let times = [(10, self.within_ten_ms, GOAL_TEN_MS), (1, self.within_one_ms, GOAL_ONE_MS)];
@@ -322,7 +341,7 @@ impl Figures {
             .map(|sample| json!([sample.since_start_ns / 1e6, sample.error_us, sample.bound_us]))
             .collect();
         json!({
-            "rms_us": self.rms_us, "p999_us": self.p999_us, "max_us": self.max_us,
+            "bias_us": self.bias_us, "rms_us": self.rms_us, "p999_us": self.p999_us, "max_us": self.max_us,
             "within_10_us_ms": self.within_ten_ms, "within_1_us_ms": self.within_one_ms,
             "bound_median_us": self.bound_median_us, "error_of_bound_max": self.of_bound,
             "series_ms_error_us_bound_us": series,
@@ -364,6 +383,7 @@ mod tests {
         samples.extend((0..1_000).map(|n| sample(1_000 + n, if n % 2 == 0 { 0.3 } else { -0.4 }, Some(1.0), true)));
         let figures = Figures::of(&samples).unwrap();
         assert!((figures.rms_us - 0.125f64.sqrt()).abs() < 1e-9, "{}", figures.rms_us);
+        assert!((figures.bias_us + 0.05).abs() < 1e-9, "{}", figures.bias_us);
         assert!((figures.max_us - 0.4).abs() < 1e-9 && (figures.of_bound - 0.5).abs() < 1e-9);
         samples.push(sample(3_000, 1.5, Some(1.0), true));
         assert!(stays_within(&samples, 1.0).is_infinite());
