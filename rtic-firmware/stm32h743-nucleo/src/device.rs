@@ -11,9 +11,9 @@ use board_stm32h743_nucleo::pac::{Interrupt, Peripherals};
 use board_stm32h743_nucleo::uart::{
     BIT_RATE, BITS_A_BYTE, CHECK, MTU_BYTES, UART_COUNT, Uart, UartBuffers, UartInterrupt,
 };
-use firmware_app::settings::Changes;
 use firmware_app::lock::NodeLock;
 use firmware_app::routing::route;
+use firmware_app::settings::Changes;
 use firmware_app::{Device, Link, Services, kind};
 use fixed_math::time::LocalTicks;
 use osap_protocol::discovery::{BuildKind, GatewayKind, Name, UniqueId};
