@@ -7,7 +7,7 @@
 //! | transmitted | `DMA_IRQ_1`    | 2        | 435      | -           | -           | 55                      | -           |
 //! | wake        | `TIMER_IRQ_0`  | 2        | 300      | -           | -           | 60                      | -           |
 //! | usb         | `USBCTRL_IRQ`  | 2        | 1,000    | -           | links       | 1,020                   | -           |
-//! | route       | `SW0_IRQ`      | 2        | 435      | 853         | node, links | 39,000                  | -           |
+//! | route       | `SW0_IRQ`      | 2        | 435      | 853         | node, links | 54,000                  | -           |
 //! | serve       | `SW1_IRQ`      | 1        | -        | -           | node        | -                       | 420         |
 //! | idle        | -              | 0        | -        | -           | node        | -                       | 420         |
 //!
@@ -20,9 +20,10 @@
 //! byte that came while its interrupt was off, 350 cycles each: one that interpolation kept waiting, and that finds more than one byte, so that there
 //! are fewer of them than counted here. Then the UART is silent until a turn of `route` has drained it, once a turn: in the response time of `route`
 //! (its own turn, one before it, and what was left of an earlier burst) lie three bursts at most, which is what `every` comes to. A turn of `route`
-//! takes in all that came, so its worst is that of many frames. A ring holds 1,706 µs of bytes, and two turns may lie between a byte and its drain:
-//! each has half of that. A lock is no longer than `route` was ever seen to be pending. Where `transmitted` is late a wire idles, where `usb` is the
-//! host waits, and `serve` has what is left; they have no deadline.
+//! takes in all that came, so its worst is that of many frames and of exchanges of time at both links, which come 200 times a second at most. A
+//! ring holds 1,706 µs of bytes, and two turns may lie between a byte and its drain: each has half of that. A lock is no longer than `route` was
+//! ever seen to be pending. Where `transmitted` is late a wire idles, where `usb` is the host waits, and `serve` has what is left; they have no
+//! deadline.
 #![no_std]
 #![no_main]
 
