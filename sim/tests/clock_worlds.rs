@@ -60,8 +60,8 @@ fn errors(seed: u64, model: &ClockWorld, asymmetry_steps: i32) -> Option<[Vec<i6
 fn calibrate(world: &mut World, line: &ClockTree, up_steps: i32) {
     for (at, node) in line.nodes.iter().enumerate() {
         let it = world.endpoint_mut::<SimDevice>(*node).unwrap().node_mut();
-        let link = |asymmetry_steps| KeptLink { peer: None, asymmetry_steps };
-        let links = [link(if at > 0 { up_steps } else { 0 }), link(-up_steps)];
+        let kept = |asymmetry_steps| KeptLink { peer: None, asymmetry_steps };
+        let links = [kept(if at > 0 { up_steps } else { 0 }), kept(-up_steps)];
         let settings = it.clock().settings();
         it.restore_time(&KeptTime { settings, links: links.into_iter().collect() });
     }
