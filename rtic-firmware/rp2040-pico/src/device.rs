@@ -16,7 +16,7 @@ use firmware_app::{Device, Link};
 use fixed_math::time::LocalTicks;
 use osap_protocol::discovery::{BuildKind, GatewayKind, Name, UniqueId};
 use osap_protocol::framing::Check;
-use osap_runtime::{GatewayConfig, Node, Stamps};
+use osap_runtime::{GatewayConfig, Node};
 
 /// Wakes routing.
 pub const ROUTE: Interrupt = Interrupt::SW0_IRQ;
@@ -211,7 +211,7 @@ pub fn start(peripherals: Peripherals) -> Parts {
     let uarts = board.uarts.map(|uart| Link::new(uart, UART, &mut node).expect("a place for each UART"));
     #[cfg(feature = "usb")]
     let usb = {
-        let (check, stamps) = (Check::None, Stamps::SOFTWARE);
+        let (check, stamps) = (Check::None, osap_runtime::Stamps::SOFTWARE);
         let config = GatewayConfig { type_name: "usb-cdc", bit_rate: 0, bits_a_byte: 8, check, stamps, ..UART };
         Link::new(board.usb.expect("asked for"), config, &mut node).expect("a place for USB")
     };
