@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Probe, add_probe, assert_all_slots_home, gateway, port, probe, query, us, with_probe};
+use common::{Probe, add_probe, assert_all_slots_home, gateway, port, probe, query, timeless, us, with_probe};
 use firmware_app::kind;
 use fixed_math::time::LocalTicks;
 use osap_protocol::discovery::Query;
@@ -44,8 +44,9 @@ fn model(faults: &str) -> BusModel {
 
 fn cell(seed: u64, check: Check, model: BusModel) -> Cell {
     let mut world = World::new(seed);
-    let nodes: Vec<NodeId> =
-        (0..MEMBERS).map(|drop| add_probe(&mut world, &[GatewayConfig { check, ..bus_gateway(drop) }])).collect();
+    let nodes: Vec<NodeId> = (0..MEMBERS)
+        .map(|drop| add_probe(&mut world, &[GatewayConfig { check, ..timeless(bus_gateway(drop)) }]))
+        .collect();
     let members: Vec<_> = nodes.iter().map(|node| (*node, gateway(0))).collect();
     let bus = world.bus(&members, model);
     let spoken = Arc::new(Mutex::new(Vec::new()));
@@ -126,9 +127,9 @@ fn another(number: u32) -> BusDrop {
 #[test]
 fn a_frame_for_another_drop_is_passed_over() {
     let mut world = World::new(1);
-    let nodes: Vec<NodeId> = [1, 2].map(|drop| add_probe(&mut world, &[bus_gateway(drop)])).to_vec();
+    let nodes: Vec<NodeId> = [1, 2].map(|drop| add_probe(&mut world, &[timeless(bus_gateway(drop))])).to_vec();
     let slow = Processor { receive: us(20_000), ..RP2040_200_MHZ };
-    let third = add_device(&mut world, &kind::MOTOR, "slow", vec![bus_gateway(3)], slow, ClockModel::PERFECT);
+    let third = add_device(&mut world, &kind::MOTOR, "slow", vec![timeless(bus_gateway(3))], slow, ClockModel::PERFECT);
     let bus = world.bus(&[nodes[0], nodes[1], third].map(|node| (node, gateway(0))), BusModel::default());
     world.run_for(us(200_000));
     let before = world.bus_stats(bus);

@@ -146,7 +146,9 @@ fn a_cells_devices_are_reached_through_its_hub() {
     let cell = shapes::bus_cell(&mut world, 12);
     let host = add_probe(&mut world, &[UART]);
     world.connect((host, gateway(0)), (cell.hub, gateway(0)), LinkModel::WIRE);
-    world.run_for(us(50_000));
+    // until its members know whose time they follow: 13 searches with up to 12 answers of 0.94 ms each, in which the highest drops wait
+    // longest, then 16 requests of each, 50 ms apart and ±1/8, `[TIM-18]`
+    world.run_for(us(1_260_000));
     let mut route = RouteBuf::new();
     route.push(Step::Link(gateway(0))).unwrap();
     route.push(Step::Bus { gateway: gateway(1), drop: BusDrop::BROADCAST }).unwrap();

@@ -17,7 +17,8 @@
 //!     Device::<16, 256, 1, 4, 1024>::new(&kind::MOTOR, UniqueId([1; 12]), 1, BuildKind::Firmware, "a").unwrap();
 //! motor.run(LocalTicks::ZERO);
 //! assert_eq!(motor.node().identity().type_name, "motor");
-//! assert_eq!(motor.next_wake(), None); // no gateway is open and no packet waits
+//! // no gateway is open and no packet waits; what is due is that it settles as the root of its own time
+//! assert_eq!(motor.next_wake(), Some(LocalTicks::from_us(250_000)));
 //! ```
 
 use crate::kind::Kind;

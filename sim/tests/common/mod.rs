@@ -3,8 +3,9 @@
 
 use fixed_math::time::{LocalTicks, Span};
 use osap_protocol::discovery::{BuildKind, Query, TimeSettings, UniqueId};
-use osap_protocol::header::Arrival;
+use osap_protocol::header::{Arrival, SYSTEM_HEADER_BYTES};
 use osap_protocol::system::ANNOUNCE_TTL_US;
+use osap_protocol::time::TimeReply;
 use osap_protocol::transport::{SegmentHeader, Sequence, SequencedKind, Transport};
 use osap_protocol::{DropCause, GatewayIndex, Packet, PortIndex, RouteBuf, Step};
 use osap_runtime::debug::DebugRing;
@@ -240,8 +241,19 @@ pub(crate) fn with_probe<T>(world: &mut World, id: NodeId, act: impl FnOnce(&mut
     result
 }
 
-/// Lets nodes find each other and ask each other for the time, and has them ask again in 8.75 s at the earliest, so that until then no
-/// message but an announcement, four times a second, is on any wire.
+/// A gateway whose MTU is one byte too small for a reply about time over a link, and so too small for one over a bus as well: its node
+/// neither asks nor answers there. All that is on its wire then is what a test sends, which has to be shorter, and announcements.
+pub(crate) fn timeless(config: GatewayConfig) -> GatewayConfig {
+    let reply_bytes = SYSTEM_HEADER_BYTES + 1 + TimeReply::LEN;
+    GatewayConfig { mtu_bytes: u16::try_from(reply_bytes - 1).unwrap(), ..config }
+}
+
+/// How long [`hush`] takes. A burst is 200 requests, 5 ms apart and ±1/8, so it ends within 1.125 s, `[TIM-05]`; the few exchanges after
+/// which it begins again, where a time is set anew, fit as well. The last announcement then was 10 ms ago.
+pub(crate) const HUSH: Span = us(1_260_000);
+
+/// Lets nodes on links find each other and ask each other for the time, and has them ask again in 8.75 s at the earliest, so that until
+/// then no message but an announcement, four times a second, is on any wire. Buses are not hushed: roots search on, `[TIM-18]`.
 pub(crate) fn hush(world: &mut World) {
     for node in world.nodes() {
         let clock = if let Some(probe) = world.endpoint_mut::<Probe>(node) {
@@ -253,8 +265,7 @@ pub(crate) fn hush(world: &mut World) {
         };
         clock.set(TimeSettings { interval_us: 10_000_000, ..clock.settings() }).unwrap();
     }
-    // bursts take 360 ms, and may begin again when roots are found; the announcements of 1 s are through
-    world.run_for(us(1_010_000));
+    world.run_for(HUSH);
 }
 
 pub(crate) fn probe(world: &World, id: NodeId) -> &Probe {
