@@ -142,6 +142,8 @@ pub struct TimeReply {
     pub is_yours: bool,
     /// The sender's programs may rely on its time.
     pub is_settled: bool,
+    /// The sender's counter runs on no crystal, `[TIM-09]`.
+    pub is_rc: bool,
     /// UNIX time, where a host offered it.
     pub unix: Option<UnixOffset>,
     /// When the reply's first byte left, by the sender's counter, low bits: the slot.
@@ -153,6 +155,7 @@ mod flag {
     pub(super) const YOURS: u8 = 1;
     pub(super) const SETTLED: u8 = 2;
     pub(super) const UNIX: u8 = 4;
+    pub(super) const RC: u8 = 8;
 }
 
 impl TimeReply {
@@ -161,7 +164,12 @@ impl TimeReply {
 
     /// Writes it into `out`; its length, or `None` where it does not fit.
     pub fn encode(&self, out: &mut [u8]) -> Option<usize> {
-        let flags = [(self.is_yours, flag::YOURS), (self.is_settled, flag::SETTLED), (self.unix.is_some(), flag::UNIX)];
+        let flags = [
+            (self.is_yours, flag::YOURS),
+            (self.is_settled, flag::SETTLED),
+            (self.unix.is_some(), flag::UNIX),
+            (self.is_rc, flag::RC),
+        ];
         let flags = flags.iter().filter(|(set, _)| *set).fold(0, |all, (_, bit)| all | bit);
         let UnixOffset { offset_us, hops } = self.unix.unwrap_or_default();
         let mut out = Writer(out);
@@ -209,7 +217,7 @@ impl TimeReply {
         let offset_us = i64::from_le_bytes(bytes.take()?);
         let [hops] = bytes.take()?;
         let answered_slot = u32::from_le_bytes(bytes.take()?);
-        let known = flags & !(flag::YOURS | flag::SETTLED | flag::UNIX) == 0;
+        let known = flags & !(flag::YOURS | flag::SETTLED | flag::UNIX | flag::RC) == 0;
         if !known || !bytes.0.is_empty() || (tier > TIER_MAX && tier != u8::MAX) {
             return None;
         }
@@ -228,6 +236,7 @@ impl TimeReply {
             root,
             is_yours: flags & flag::YOURS != 0,
             is_settled: flags & flag::SETTLED != 0,
+            is_rc: flags & flag::RC != 0,
             unix: (flags & flag::UNIX != 0).then_some(UnixOffset { offset_us, hops }),
             answered_slot,
         })
@@ -285,6 +294,7 @@ mod tests {
             root: Root { priority: 128, unique_id: UniqueId([3; 12]) },
             is_yours: true,
             is_settled: true,
+            is_rc: true,
             unix: Some(UnixOffset { offset_us: 1_790_000_000_000_000, hops: 1 }),
             answered_slot: 0x30,
         }
@@ -310,7 +320,7 @@ mod tests {
     fn replies_that_cannot_be_are_refused() {
         let mut good = [0; TimeReply::LEN];
         reply().encode(&mut good).unwrap();
-        for (at, value) in [(0, 2), (58, 8), (44, TIER_MAX + 1), (44, 254)] {
+        for (at, value) in [(0, 2), (58, 16), (44, TIER_MAX + 1), (44, 254)] {
             let mut bad = good;
             bad[at] = value;
             assert_eq!(TimeReply::decode(&bad), Err(DropCause::SystemMalformed), "byte {at}");

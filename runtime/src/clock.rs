@@ -92,6 +92,7 @@ pub(crate) struct Changes {
 
 /// A node's clock.
 #[derive(Debug)]
+#[expect(clippy::struct_excessive_bools, reason = "four facts that go their own ways")]
 pub struct Clock {
     settings: TimeSettings,
     me: UniqueId,
@@ -110,6 +111,7 @@ pub struct Clock {
     unix_from: Option<GatewayIndex>,
     is_settled: bool,
     is_live: bool,
+    is_rc: bool,
     steps: u16,
     root_changes: u16,
     dither: u32,
@@ -142,6 +144,7 @@ impl Clock {
             unix_from: None,
             is_settled: false,
             is_live: false,
+            is_rc: false,
             steps: 0,
             root_changes: 0,
             dither: seed,
@@ -218,6 +221,16 @@ impl Clock {
     /// Says whether something runs by system time now, so that it may not be stepped, `[TIM-10]`.
     pub const fn set_live(&mut self, is_live: bool) {
         self.is_live = is_live;
+    }
+
+    /// Says that the node's counter runs on an RC oscillator and not on a crystal, before any neighbour is asked, `[TIM-09]`.
+    pub const fn set_rc(&mut self, is_rc: bool) {
+        self.is_rc = is_rc;
+    }
+
+    /// Whether the counter runs on no crystal.
+    pub(crate) const fn is_rc(&self) -> bool {
+        self.is_rc
     }
 
     /// Offers UNIX time, as a host knows it at `now`, µs since 1970, `[TIM-14]`.

@@ -146,7 +146,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         let me = self.identity.unique_id;
         let gateway = self.gateways.get_mut(index.at()).ok_or(DropCause::NoSuchGateway)?;
         let stamps = gateway.config.stamps;
-        gateway.peer.hear(reply, started, stamps, me)?;
+        gateway.peer.hear(reply, started, stamps, me, self.clock.is_rc())?;
         if let Some(estimate) = gateway.peer.estimate() {
             let offset = estimate.line.system_at(started).steps_after(self.clock.map().system_at(started));
             if self.clock.is_absurd(estimate.line.system_at(started), started, reply.root.unique_id) {

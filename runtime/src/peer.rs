@@ -107,8 +107,8 @@ pub(crate) struct Peer {
     outliers: u8,
     /// Replies in a row whose counters agree, but not the system time they tell.
     strange: u8,
-    /// One of the two counters runs on no crystal: no rate of crystals explained what was heard.
-    is_rc: bool,
+    /// How many of the two counters run on no crystal: their nodes say so, or no rate of crystals explained what was heard.
+    rc_ends: u8,
     /// Its system time less ours at the last exchange, and its average.
     pub(crate) offset_steps: i64,
     pub(crate) filtered_steps: Option<i64>,
@@ -134,7 +134,7 @@ impl Peer {
             burst: 0,
             outliers: 0,
             strange: 0,
-            is_rc: false,
+            rc_ends: 0,
             offset_steps: 0,
             filtered_steps: None,
             unanswered: 0,
@@ -147,7 +147,7 @@ impl Peer {
         if self.of != Some((who, boot_epoch)) {
             self.keep_rate();
             self.of = Some((who, boot_epoch));
-            self.is_rc = false;
+            self.rc_ends = 0;
             self.forget();
         }
         self.burst = BURST;
@@ -300,19 +300,22 @@ impl Peer {
         }
     }
 
-    /// Takes a reply whose first byte came at `received`, `[TIM-06]`, `[TIM-08]`.
+    /// Takes a reply whose first byte came at `received`, `[TIM-06]`, `[TIM-08]`; `is_rc`: this node's own counter runs on no crystal.
     pub(crate) fn hear(
         &mut self,
         reply: &TimeReply,
         received: LocalTicks,
         stamps: Stamps,
         me: UniqueId,
+        is_rc: bool,
     ) -> Result<(), DropCause> {
         let sent = self.asked(reply, received, stamps)?;
         self.open = None;
         self.check_tier(reply, me)?;
         let peer_tick = Span::from_steps(u64::from(reply.tick_steps));
-        if self.link.exchanges() == 0 {
+        let declared = u8::from(is_rc) + u8::from(reply.is_rc);
+        if self.link.exchanges() == 0 || declared > self.rc_ends {
+            self.rc_ends = self.rc_ends.max(declared);
             self.link = LinkClock::new(traits(stamps, peer_tick, self.asymmetry_steps, self.oscillators()));
             self.forget();
         }
@@ -392,7 +395,7 @@ impl Peer {
         self.outliers = self.outliers.saturating_add(1);
         if self.outliers >= OUTLIERS_MAX {
             self.kept = None;
-            self.is_rc = true;
+            self.rc_ends = self.rc_ends.max(1);
             self.link = LinkClock::new(traits(stamps, peer_tick, self.asymmetry_steps, self.oscillators()));
             self.forget();
         }
@@ -409,7 +412,11 @@ impl Peer {
 
     /// What is promised of the two counters' rates.
     const fn oscillators(&self) -> LinkTraits {
-        if self.is_rc { LinkTraits::RC } else { LinkTraits::CRYSTAL }
+        match self.rc_ends {
+            0 => LinkTraits::CRYSTAL,
+            1 => LinkTraits::RC,
+            _ => LinkTraits::RC_BOTH,
+        }
     }
 
     /// Only a root is its own root, and it has heard itself just now.

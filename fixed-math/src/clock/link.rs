@@ -108,13 +108,15 @@ impl LinkClock {
         let wire = cut(traits.wire.steps(), EXCHANGE_MAX);
         // both ways are counted by the slower counter
         let wire = wire - certain_rate(traits.rate_sigma).over(wire) - 1;
-        let half = traits.asymmetry_steps as i64 / 2;
+        // a calibration moves the estimate; what is certain holds whether it is right or not: each way takes what the shorter takes at least
+        let half = (traits.asymmetry_steps as i64 / 2).abs();
+        let least = if wire > half { wire - half } else { 0 };
         Self {
             traits,
             // four stamps, each uniform over a tick: (4 · tick²/12) / 4; from steps² to µs² in Q36
             noise: (tick * tick / 12) << 20,
-            there: wire + half - 1,
-            back: wire - half - 1,
+            there: least - 1,
+            back: least - 1,
             at: LocalTicks::ZERO,
             peer: PeerTicks::ZERO,
             above: 0,

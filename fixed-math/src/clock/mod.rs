@@ -69,7 +69,8 @@ pub struct LinkTraits {
     /// One sigma of the relative rate before anything was measured: 40 ppm for crystals, 10⁻² for an RC oscillator. Three in a hundred
     /// at most. Six of them are the most that is ever believed.
     pub rate_sigma: Rate,
-    /// What the relative rate gains at most in a second, either way: 0.02 ppm for crystals in a room, 20 ppm for an RC oscillator.
+    /// What the relative rate gains at most in a second, either way: 0.02 ppm for two crystals in a room, 20 ppm for an RC
+    /// oscillator.
     pub ramp: Rate,
 }
 
@@ -85,6 +86,8 @@ impl LinkTraits {
     };
     /// As [`LinkTraits::CRYSTAL`], one of the two clocked by an RC oscillator.
     pub const RC: Self = Self { rate_sigma: Rate::from_ppb(10_000_000), ramp: Rate::from_ppb(20_000), ..Self::CRYSTAL };
+    /// As [`LinkTraits::RC`], both clocked by one.
+    pub const RC_BOTH: Self = Self { ramp: Rate::from_ppb(40_000), ..Self::RC };
 }
 
 /// Why an exchange was refused.

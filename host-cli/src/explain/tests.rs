@@ -241,7 +241,7 @@ fn messages_about_time_are_read_down_to_their_slots() {
     }
     // a flag that nobody has
     let flags = packet.len() - 4 - 9 - 1;
-    packet[flags] |= 8;
+    packet[flags] |= 16;
     assert_eq!(explain(&packet, Options::Packet).problems[0].clause, "TIM-02");
 }
 

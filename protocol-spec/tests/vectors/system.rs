@@ -83,6 +83,7 @@ struct Answered {
     root: Hex,
     is_yours: bool,
     is_settled: bool,
+    is_rc: bool,
     unix: Option<Offset>,
     departed_steps: u64,
 }
@@ -113,6 +114,7 @@ impl Answered {
             root: Root { priority: self.root_priority, unique_id: unique_id(&self.root) },
             is_yours: self.is_yours,
             is_settled: self.is_settled,
+            is_rc: self.is_rc,
             unix: self.unix.as_ref().map(|it| UnixOffset { offset_us: it.offset_us, hops: it.hops }),
             answered_slot: u32::try_from(answered_slot).expect("32 bits"),
         }

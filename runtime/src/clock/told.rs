@@ -54,6 +54,7 @@ impl Clock {
             root: self.root,
             is_yours: by_partner && self.sources & 1 << index.get() != 0,
             is_settled: self.is_settled,
+            is_rc: self.is_rc(),
             unix: self.unix.filter(|_| self.unix_from != Some(index)),
             answered_slot: 0,
         }

@@ -6,12 +6,13 @@
 //! - **Context:** before the world's first step. **Clause:** `[NOD-12]`.
 
 use super::{CRYSTAL_PPM, UART, gateway, micros, sim_factory};
-use crate::device::SIM_GATEWAYS;
+use crate::device::{SIM_GATEWAYS, SimDevice};
 use crate::processor::Processor;
 use crate::time::{ClockModel, Ramp, TrueTime, Wander};
-use crate::world::{LinkId, LinkModel, NodeId, StampModel, World};
+use crate::world::{Factory, LinkId, LinkModel, NodeId, StampModel, World};
 use firmware_app::kind;
 use fixed_math::time::Span;
+use std::any::Any;
 
 /// Our own image on a Raspberry Pi Pico at 125 MHz: 52 µs for a packet received, handled and answered, of which the images' measured round
 /// trips see 50.2, and forwarding a packet takes it 32, where they see 34 to 38.
@@ -126,6 +127,17 @@ fn clock(world: &mut World, at: usize, model: &ClockWorld) -> ClockModel {
     ClockModel { ramp: Ramp { ppm_per_s: model.ramp.ppm_per_s * turn, ..model.ramp }, ..clock }
 }
 
+/// The same device, which knows that its counter runs on no crystal and says so.
+fn declares_rc(mut factory: Factory) -> Factory {
+    Box::new(move |boot| {
+        let mut endpoint = factory(boot);
+        if let Some(device) = (&mut *endpoint as &mut dyn Any).downcast_mut::<SimDevice>() {
+            device.node_mut().clock_mut().set_rc(true);
+        }
+        endpoint
+    })
+}
+
 fn build(world: &mut World, nodes: usize, fan_out: usize, model: &ClockWorld) -> ClockTree {
     let mut it = ClockTree::default();
     let begins = world.now();
@@ -136,6 +148,7 @@ fn build(world: &mut World, nodes: usize, fan_out: usize, model: &ClockWorld) ->
         let kind = if below == 0 { &kind::MOTOR } else { &kind::HUB };
         let name = format!("{}-{at}", kind.type_name);
         let factory = sim_factory(world, kind, &name, vec![UART; 1 + below]);
+        let factory = if model.rc.is_some() && at > 0 { declares_rc(factory) } else { factory };
         let node = world.add_device_at(begins + after, factory, PICO_125_MHZ, clock);
         world.set_stamps(node, model.stamps);
         world.set_job_spread(node, model.job_spread);
