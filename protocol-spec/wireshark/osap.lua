@@ -26,6 +26,7 @@ local QUERIES = {
   [1] = "runtime information", [2] = "runtime type name", [3] = "runtime name", [4] = "set runtime name",
   [5] = "link information", [6] = "port information", [7] = "debug messages", [8] = "set debug verbosity",
   [9] = "time controller configuration", [10] = "set time controller configuration", [11] = "counters",
+  [12] = "time status", [13] = "time of a link", [14] = "set time asymmetry",
 }
 local REFUSALS = {
   [1] = "unknown query", [2] = "another version", [3] = "body not readable", [4] = "no such index", [5] = "value out of range",
