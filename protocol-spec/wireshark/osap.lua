@@ -22,6 +22,9 @@ local SYSTEM_KEYS = {
   [0] = "time request", [1] = "time reply", [2] = "link announcement", [3] = "trace", [4] = "log", [5] = "firmware",
 }
 local ANNOUNCEMENT = 2
+-- Lengths of a time request and of a time reply.
+local TIME_REPLY_BYTES = 72
+local TIME_BYTES = { [0] = 7, [1] = TIME_REPLY_BYTES }
 local QUERIES = {
   [1] = "runtime information", [2] = "runtime type name", [3] = "runtime name", [4] = "set runtime name",
   [5] = "link information", [6] = "port information", [7] = "debug messages", [8] = "set debug verbosity",
@@ -220,10 +223,36 @@ local function announcement(context, tree, at)
   end
 end
 
+-- [TIM-01], [TIM-02]: of fixed width; version and sequence come first. The command `osap decode` shows the rest.
+local function time_message(context, tree, at, width)
+  local tvb = context.tvb
+  if context:left(at) ~= width then
+    context:wrong(tree, "system-malformed", "the message is not " .. width .. " bytes long")
+  else
+    local version = tree:add(f.version, tvb(at, 1))
+    if tvb(at, 1):uint() ~= VERSION then
+      context:wrong(version, "system-malformed", "another version is served")
+    end
+    tree:add(f.sequence, tvb(at + 1, 1))
+    if width == TIME_REPLY_BYTES then
+      local tier, flags = tvb(at + 44, 1):uint(), tvb(at + 58, 1):uint()
+      if tier > 64 and tier ~= 255 then
+        context:wrong(tree, "system-malformed", "no route has " .. tier .. " steps")
+      elseif flags > 15 then
+        context:wrong(tree, "system-malformed", "a flag has no meaning")
+      end
+    end
+    at = at + 2
+  end
+  context:payload(tree, at)
+end
+
 local function system(context, tree, instruction, item)
   local at = instruction.at + instruction.width
   if instruction.key == ANNOUNCEMENT then
     announcement(context, tree, at)
+  elseif TIME_BYTES[instruction.key] then
+    time_message(context, tree, at, TIME_BYTES[instruction.key])
   else
     if not SYSTEM_KEYS[instruction.key] then
       context:wrong(item, "unknown-system-key", "system message " .. instruction.key .. " means nothing")
