@@ -15,6 +15,7 @@ use fixed_math::time::Span;
 use osap::core::Outcome;
 use osap::session::{ECHO_PORT, Session};
 use osap_protocol::PortIndex;
+use osap_protocol::discovery::TimeSettings;
 use osap_runtime::sequenced::{Destination, Expect, Ticket};
 use serde_json::json;
 
@@ -40,6 +41,9 @@ const TURNS_MAX: u32 = 10_000_000;
 pub(super) const TRIES: usize = 40;
 /// Pause after one that was not answered.
 pub(super) const RETRY: Span = Span::from_us(50_000);
+/// Nodes that have just met ask each other for the time without end, a second by their own clocks; QEMU, which hands bytes over one by one, is
+/// busy with that. Three times as long, as an emulated clock may be slower than the host's.
+const BURSTS: Span = Span::from_us(3 * osap_runtime::BURST as u64 * osap_runtime::BURST_INTERVAL_US);
 /// Spins that are tried until a ping got through during one.
 const ATTEMPTS_MAX: u32 = 3;
 /// Frames that the hub sends for a ping through it: there and back.
@@ -105,7 +109,11 @@ fn measure(context: &Context) -> Result<(u32, u32, Record), Failure> {
     let motor = session.destination(&route(Part::Motor.route()));
     for device in [&hub, &motor] {
         await_answer(&mut session, device)?;
+        // from then on once in ten seconds at the most
+        let settings = session.time_status(device)?.value.settings;
+        session.set_time_control(device, &TimeSettings { interval_us: 10_000_000, ..settings })?;
     }
+    session.network().pause(BURSTS)?;
     let a_turn = trial(&machine, &mut session, &hub)?;
     let turns = u64::from(SPIN_TICKS) * u64::from(TRIAL_TURNS) / u64::from(a_turn.turn_ticks.max(1));
     let turns = u32::try_from(turns).unwrap_or(TURNS_MAX).min(TURNS_MAX);
