@@ -59,7 +59,10 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         let index = arrival.gateway();
         let gateway = self.gateways.get_mut(index.at()).ok_or(DropCause::NoSuchGateway)?;
         let (Arrival::Link(_), Some(theirs)) = (arrival, theirs) else {
-            // on a bus there is no one neighbour to keep: that somebody came is all there is to say, `[SYS-06]`
+            // on a bus there is no one neighbour to keep: that somebody came is all there is to say, `[SYS-06]`, and whom to ask for the time
+            if let Arrival::Bus { from, .. } = arrival {
+                gateway.peer.heard_on_bus(from, unique_id, self.identity.unique_id);
+            }
             self.note_change(index, NeighbourChange::Appeared, now);
             return Ok(());
         };

@@ -9,6 +9,7 @@
 mod told;
 
 use crate::gateway::Gateway;
+use crate::peer::Offer;
 use fixed_math::clock::{Diffusion, Estimate, Follow, Gains, Neighbour, Oldest, Servo, SlewedMap, TimeLine};
 use fixed_math::time::{LocalTicks, NetTime, Rate, Span};
 use osap_protocol::GatewayIndex;
@@ -329,18 +330,21 @@ impl Clock {
         changes
     }
 
-    /// Whether the time that a reply offers is better than the node's own, or the same from nearer, `[TIM-18]`; its request
-    /// was heard when this node's counter read `heard`.
-    pub(crate) fn would_follow(&self, reply: &TimeReply, heard: LocalTicks) -> bool {
+    /// The time that a reply offers, where it is better than the node's own, or the same from nearer, `[TIM-18]`; its request was heard
+    /// when this node's counter read `heard`.
+    pub(crate) fn offered(&self, reply: &TimeReply, heard: LocalTicks) -> Option<Offer> {
         if reply.tier >= TIER_MAX || reply.root.unique_id == self.me || reply.is_yours {
-            return false;
+            return None;
         }
-        if reply.root.unique_id == self.root.unique_id {
-            return reply.tier + 1 < self.tier;
-        }
-        let theirs = Claim { root: reply.root, system: reply.system, tier: reply.tier };
-        let mine = Claim { root: self.root, system: self.map.system_at(heard), tier: self.tier };
-        self.tier == TIER_FREE_RUNNING || theirs.goes_before(&mine)
+        let is_better = if reply.root.unique_id == self.root.unique_id {
+            reply.tier + 1 < self.tier
+        } else {
+            let theirs = Claim { root: reply.root, system: reply.system, tier: reply.tier };
+            let mine = Claim { root: self.root, system: self.map.system_at(heard), tier: self.tier };
+            self.tier == TIER_FREE_RUNNING || theirs.goes_before(&mine)
+        };
+        let ahead_steps = reply.system.steps_after(NetTime::from_steps(heard.steps()));
+        is_better.then_some(Offer { root: reply.root, tier: reply.tier, ahead_steps })
     }
 
     const fn follows(&self) -> bool {

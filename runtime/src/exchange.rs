@@ -130,8 +130,8 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         // when the request came there, by this node's counter
         let turn = reply.answered().since(reply.heard);
         let heard = sent + Span::from_steps(started.since(sent).saturating_sub(turn).steps() / 2);
-        if self.clock.would_follow(reply, heard) {
-            gateway.peer.partner_with(drop, now);
+        if let Some(offer) = self.clock.offered(reply, heard) {
+            gateway.peer.partner_with(drop, offer, now);
         }
         Ok(())
     }
@@ -216,11 +216,12 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
 
     /// A gateway has opened or closed: on a bus a partner is looked for.
     pub(crate) fn time_of_gateway(&mut self, index: GatewayIndex, now: LocalTicks) {
+        let dither = self.clock.draw();
         let Some(gateway) = self.gateways.get_mut(index.at()) else { return };
         gateway.peer.lost();
         let is_bus = matches!(gateway.config.kind, GatewayKind::Bus { .. });
         if is_bus && gateway.open && can_carry(&gateway.config) {
-            gateway.peer.on_bus(now);
+            gateway.peer.on_bus(now, dither);
         }
     }
 }

@@ -4,6 +4,7 @@
 //! - **Invariants:** one request is open at a time; what a neighbour said is believed only with all its checks passed.
 //! - **Context:** the node's. **Clauses:** `[TIM-01]`, `[TIM-05]`, `[TIM-06]`, `[TIM-08]`, `[TIM-13]`, `[TIM-17]`.
 
+use crate::clock::AGE_MARGIN_US;
 use crate::gateway::Stamps;
 use fixed_math::clock::{Estimate, Exchange, Fault, LinkClock, LinkTraits, PeerEstimate, ewma};
 use fixed_math::time::{LocalTicks, Rate, Span};
@@ -22,8 +23,10 @@ pub const SLOW_FACTOR: u32 = 8;
 pub const OUTLIERS_MAX: u8 = 16;
 /// How much less often a partner on a bus is asked, `[TIM-18]`: all of them share its wire.
 pub const BUS_FACTOR: u32 = 8;
-/// From one search for a partner to the next, µs.
+/// From the first search for a partner to the next, µs; twice as long each time that none is found.
 pub const SEARCH_US: u64 = 1_000_000;
+/// So often it becomes twice as long.
+const SEARCHES_MAX: u8 = 6;
 /// Requests to a partner between two searches for a nearer one.
 pub const SEARCH_EVERY: u8 = 32;
 /// Requests in a row without an answer after which a partner is none.
@@ -37,8 +40,6 @@ const BUS_BURST_INTERVAL_US: u64 = 50_000;
 struct Open {
     sequence: u8,
     made: LocalTicks,
-    /// It went to all on a bus, and more than one may answer.
-    is_search: bool,
 }
 
 /// Whom a node on a bus asks.
@@ -47,6 +48,38 @@ struct Partner {
     drop: Option<BusDrop>,
     misses: u8,
     to_search: u8,
+    /// The lowest id below its own that has announced itself: who is asked before all are.
+    candidate: Option<(UniqueId, BusDrop)>,
+    /// Searches in a row without a partner.
+    searches: u8,
+    /// The last search; more than one may answer.
+    search: Option<Open>,
+    /// The best of its answers.
+    best: Option<Offer>,
+}
+
+/// A time that is offered on a bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Offer {
+    pub(crate) root: Root,
+    pub(crate) tier: u8,
+    /// System time less this node's counter.
+    pub(crate) ahead_steps: i64,
+}
+
+impl Offer {
+    /// `[TIM-07]`, and of one root the nearer.
+    fn goes_before(&self, other: &Self) -> bool {
+        if self.root.unique_id == other.root.unique_id {
+            return self.tier < other.tier;
+        }
+        if self.root.priority != other.root.priority {
+            return self.root.priority < other.root.priority;
+        }
+        let older = self.ahead_steps.saturating_sub(other.ahead_steps);
+        let is_clear = older.unsigned_abs() > Span::from_us(AGE_MARGIN_US).steps();
+        if is_clear { older > 0 } else { self.root.unique_id < other.root.unique_id }
+    }
 }
 
 /// Replies that wait for their gateway at once; what else is asked meanwhile is asked again.
@@ -155,11 +188,24 @@ impl Peer {
     }
 
     /// A gateway on a bus has opened: a partner is looked for.
-    pub(crate) fn on_bus(&mut self, now: LocalTicks) {
+    pub(crate) fn on_bus(&mut self, now: LocalTicks, dither: u32) {
         self.of = None;
         self.forget();
         self.partner = Some(Partner::default());
-        self.ask_at(Some(now));
+        // who opens with all others lets them announce themselves first, and does not ask when they do
+        let part = (SEARCH_US >> 1).saturating_mul(u64::from(dither >> 16)) >> 16;
+        self.ask_at(Some(now + Span::from_us((SEARCH_US >> 2) + part)));
+    }
+
+    /// Somebody has announced himself on the bus.
+    pub(crate) fn heard_on_bus(&mut self, drop: BusDrop, id: UniqueId, me: UniqueId) {
+        if let Some(partner) = &mut self.partner
+            && partner.drop.is_none()
+            && id < me
+            && partner.candidate.is_none_or(|(lowest, _)| id < lowest)
+        {
+            partner.candidate = Some((id, drop));
+        }
     }
 
     /// Whether the time of whoever is at `by` on a bus is this node's source, if this peer is one.
@@ -167,10 +213,16 @@ impl Peer {
         self.partner.is_none_or(|partner| partner.drop == by)
     }
 
-    /// Takes another drop of the bus as partner.
-    pub(crate) fn partner_with(&mut self, drop: BusDrop, now: LocalTicks) {
+    /// Takes another drop of the bus as partner, if nobody has offered a better time in answer to the same question.
+    pub(crate) fn partner_with(&mut self, drop: BusDrop, offer: Offer, now: LocalTicks) {
+        let Some(partner) = &mut self.partner else { return };
+        if partner.best.is_some_and(|best| !offer.goes_before(&best)) {
+            return;
+        }
+        let search = partner.search;
+        *partner =
+            Partner { drop: Some(drop), to_search: SEARCH_EVERY, search, best: Some(offer), ..Partner::default() };
         self.forget();
-        self.partner = Some(Partner { drop: Some(drop), misses: 0, to_search: SEARCH_EVERY });
         self.burst = BUS_BURST;
         self.open = None;
         self.ask_at(Some(now));
@@ -248,15 +300,19 @@ impl Peer {
         dither: u32,
     ) -> (TimeRequest, Option<BusDrop>) {
         let (to, below) = self.whom_to_ask(tier);
-        let is_search = to == Some(BusDrop::BROADCAST);
-        if !is_search {
-            self.unanswered = self.unanswered.saturating_add(u32::from(self.open.is_some_and(|open| !open.is_search)));
-        }
         self.sequence = self.sequence.wrapping_add(1);
-        self.open = Some(Open { sequence: self.sequence, made: now, is_search });
+        let open = Some(Open { sequence: self.sequence, made: now });
+        match &mut self.partner {
+            Some(partner) if to == Some(BusDrop::BROADCAST) => (partner.search, partner.best) = (open, None),
+            _ => {
+                self.unanswered = self.unanswered.saturating_add(u32::from(self.open.is_some()));
+                self.open = open;
+            }
+        }
         let is_bus = to.is_some();
+        let alone = self.partner.filter(|partner| partner.drop.is_none());
         let interval_us = match (self.burst, is_near) {
-            _ if is_bus && self.partner.is_some_and(|partner| partner.drop.is_none()) => SEARCH_US,
+            _ if alone.is_some() => SEARCH_US << alone.map_or(0, |partner| partner.searches),
             (1.., _) if is_bus => BUS_BURST_INTERVAL_US,
             (0, _) if is_bus => interval_us * u64::from(BUS_FACTOR),
             (1.., _) => BURST_INTERVAL_US.min(interval_us),
@@ -274,7 +330,7 @@ impl Peer {
     fn whom_to_ask(&mut self, tier: u8) -> (Option<BusDrop>, u8) {
         let Some(partner) = &mut self.partner else { return (None, ANYBODY) };
         if let Some(drop) = partner.drop {
-            let is_missed = self.open.is_some_and(|open| !open.is_search);
+            let is_missed = self.open.is_some();
             partner.misses = if is_missed { partner.misses.saturating_add(1) } else { 0 };
             if partner.misses < MISSES_MAX {
                 partner.to_search = partner.to_search.saturating_sub(1);
@@ -289,6 +345,10 @@ impl Peer {
             *partner = Partner::default();
             self.said = None;
         }
+        if let Some((_, drop)) = partner.candidate.take() {
+            return (Some(drop), ANYBODY);
+        }
+        partner.searches = partner.searches.saturating_add(1).min(SEARCHES_MAX);
         (Some(BusDrop::BROADCAST), ANYBODY)
     }
 
@@ -365,7 +425,9 @@ impl Peer {
         received: LocalTicks,
         stamps: Stamps,
     ) -> Result<LocalTicks, DropCause> {
-        let open = self.open.filter(|open| open.sequence == reply.sequence).ok_or(DropCause::TimeUnasked)?;
+        let asked = [self.open, self.partner.and_then(|partner| partner.search)];
+        let open = asked.into_iter().flatten().find(|open| open.sequence == reply.sequence);
+        let open = open.ok_or(DropCause::TimeUnasked)?;
         let sent = unwrap_stamp(reply.asked_slot, received);
         // a stamp is a reading of the same counter that `made` is, if not of the same tick
         if sent + stamps.tick < open.made { Err(DropCause::TimeUnasked) } else { Ok(sent) }
