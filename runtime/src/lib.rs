@@ -34,5 +34,8 @@ pub use egress::{Departure, Outgoing};
 pub use gateway::{GatewayConfig, Stamps};
 pub use mailbox::{Delivery, Mailbox, Outbound, SendError};
 pub use node::{Identity, Node};
-pub use peer::{BURST, BURST_INTERVAL_US, BUS_FACTOR, MISSES_MAX, OUTLIERS_MAX, SEARCH_EVERY, SEARCH_US, SLOW_FACTOR};
+pub use peer::{
+    BURST, BURST_INTERVAL_US, BUS_FACTOR, BUS_MEMBERS_MAX, MISSES_MAX, OUTLIERS_MAX, SEARCH_EVERY, SEARCH_US,
+    SLOW_FACTOR,
+};
 pub use port::PortConfig;

@@ -27,6 +27,10 @@ pub const BUS_FACTOR: u32 = 8;
 pub const SEARCH_US: u64 = 1_000_000;
 /// So often it becomes twice as long.
 const SEARCHES_MAX: u8 = 6;
+/// Members of a bus beyond which nobody asks: with so many, requests and replies take a tenth of a wire of 1 Mbit/s.
+pub const BUS_MEMBERS_MAX: u32 = 32;
+/// Least time from one request to the next for each other member, µs.
+const BUS_SHARE_US: u64 = 10_000;
 /// Requests to a partner between two searches for a nearer one.
 pub const SEARCH_EVERY: u8 = 32;
 /// Requests in a row without an answer after which a partner is none.
@@ -50,12 +54,26 @@ struct Partner {
     to_search: u8,
     /// The lowest id below its own that has announced itself: who is asked before all are.
     candidate: Option<(UniqueId, BusDrop)>,
+    /// The drops that have announced themselves, one bit each.
+    members: [u32; 8],
     /// Searches in a row without a partner.
     searches: u8,
     /// The last search; more than one may answer.
     search: Option<Open>,
     /// The best of its answers.
     best: Option<Offer>,
+}
+
+impl Partner {
+    /// Members of the bus that have announced themselves.
+    fn count(&self) -> u32 {
+        self.members.iter().map(|word| word.count_ones()).sum()
+    }
+
+    /// No partner, on the same bus.
+    fn alone(&self) -> Self {
+        Self { members: self.members, search: self.search, ..Self::default() }
+    }
 }
 
 /// A time that is offered on a bus.
@@ -199,12 +217,15 @@ impl Peer {
 
     /// Somebody has announced himself on the bus.
     pub(crate) fn heard_on_bus(&mut self, drop: BusDrop, id: UniqueId, me: UniqueId) {
-        if let Some(partner) = &mut self.partner
-            && partner.drop.is_none()
-            && id < me
-            && partner.candidate.is_none_or(|(lowest, _)| id < lowest)
-        {
+        let Some(partner) = &mut self.partner else { return };
+        if let Some(word) = partner.members.get_mut(usize::from(drop.0 >> 5)) {
+            *word |= 1 << (drop.0 & 31);
+        }
+        if partner.drop.is_none() && id < me && partner.candidate.is_none_or(|(lowest, _)| id < lowest) {
             partner.candidate = Some((id, drop));
+        }
+        if partner.count() > BUS_MEMBERS_MAX {
+            self.ask_at(None);
         }
     }
 
@@ -219,9 +240,7 @@ impl Peer {
         if partner.best.is_some_and(|best| !offer.goes_before(&best)) {
             return;
         }
-        let search = partner.search;
-        *partner =
-            Partner { drop: Some(drop), to_search: SEARCH_EVERY, search, best: Some(offer), ..Partner::default() };
+        *partner = Partner { drop: Some(drop), to_search: SEARCH_EVERY, best: Some(offer), ..partner.alone() };
         self.forget();
         self.burst = BUS_BURST;
         self.open = None;
@@ -231,7 +250,7 @@ impl Peer {
     /// What was heard of a partner says that it cannot be one.
     pub(crate) fn part(&mut self) {
         if let Some(partner) = &mut self.partner {
-            *partner = Partner::default();
+            *partner = partner.alone();
             self.said = None;
         }
     }
@@ -319,6 +338,8 @@ impl Peer {
             (0, true) => interval_us,
             (0, false) => interval_us * u64::from(SLOW_FACTOR),
         };
+        let share_us = self.partner.map_or(0, |partner| BUS_SHARE_US * u64::from(partner.count()));
+        let interval_us = interval_us.max(share_us);
         self.burst = self.burst.saturating_sub(1);
         // 7/8 to 9/8 of it
         let part = (interval_us >> 2).saturating_mul(u64::from(dither >> 16)) >> 16;
@@ -342,7 +363,7 @@ impl Peer {
                 partner.to_search = SEARCH_EVERY;
                 return (Some(BusDrop::BROADCAST), nearer);
             }
-            *partner = Partner::default();
+            *partner = partner.alone();
             self.said = None;
         }
         if let Some((_, drop)) = partner.candidate.take() {
