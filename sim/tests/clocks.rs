@@ -241,9 +241,19 @@ fn a_spread_of_jobs_frees_departures_from_the_ticks() {
         );
         world.run_for(us(300_000));
         let seen = seen.lock().unwrap();
-        let places = seen.iter().map(|at| world.exact(line.nodes[0], *at).steps() % 256);
-        places.map(|place| place / 64).collect::<std::collections::BTreeSet<u64>>().len()
+        // how many lie in each quarter of a tick
+        let mut quarters = [0; 4];
+        for at in seen.iter() {
+            quarters[usize::try_from(world.exact(line.nodes[0], *at).steps() % 256 / 64).unwrap()] += 1;
+        }
+        quarters
     };
-    assert_eq!(places(us(1)), 4, "each quarter of a tick is met");
-    assert!(places(us(0)) < 4);
+    let most = |quarters: [usize; 4]| (quarters.into_iter().max().unwrap(), quarters.into_iter().sum::<usize>());
+    let spread = places(us(1));
+    // of some 60 that may lie anywhere, half in one quarter has a chance of 1 in 10^4
+    let (largest, all) = most(spread);
+    assert!(spread.iter().all(|count| *count > 0) && 2 * largest < all, "{spread:?}");
+    // but for those that waited for another frame on the wire, whose ends lie anywhere
+    let (largest, all) = most(places(us(0)));
+    assert!(3 * largest > 2 * all, "{largest} of {all}");
 }
