@@ -35,7 +35,7 @@ pub use gateway::{GatewayConfig, Stamps};
 pub use mailbox::{Delivery, Mailbox, Outbound, SendError};
 pub use node::{Identity, Node};
 pub use peer::{
-    BURST, BURST_INTERVAL_US, BUS_FACTOR, BUS_MEMBERS_MAX, MISSES_MAX, OUTLIERS_MAX, SEARCH_EVERY, SEARCH_US,
-    SLOW_FACTOR,
+    BURST, BURST_INTERVAL_US, BURST_MISSES_MAX, BUS_FACTOR, BUS_MEMBERS_MAX, MISSES_MAX, OUTLIERS_MAX, SEARCH_EVERY,
+    SEARCH_US, SLOW_FACTOR,
 };
 pub use port::PortConfig;

@@ -17,6 +17,10 @@ use osap_protocol::{BusDrop, DropCause};
 pub const BURST: u8 = 200;
 /// Between them, µs.
 pub const BURST_INTERVAL_US: u64 = 5_000;
+/// No second burst begins so soon after one, µs: a clock that is set anew again and again, as an emulated one, may not fill its links.
+const BURST_PAUSE_US: u64 = 10_000_000;
+/// Requests in a row without an answer that end a burst: a neighbour that takes longer than the pause between them would never be heard.
+pub const BURST_MISSES_MAX: u8 = 4;
 /// How much less often neighbours are asked that are no source, `[TIM-05]`.
 pub const SLOW_FACTOR: u32 = 8;
 /// Absurd replies in a row after which what was known is forgotten, `[TIM-06]`.
@@ -155,6 +159,10 @@ pub(crate) struct Peer {
     estimate: Option<Estimate>,
     sequence: u8,
     burst: u8,
+    /// When the last burst began.
+    burst_at: LocalTicks,
+    /// Requests in a row without an answer.
+    missed: u8,
     outliers: u8,
     /// Replies in a row whose counters agree, but not the system time they tell.
     strange: u8,
@@ -183,6 +191,8 @@ impl Peer {
             estimate: None,
             sequence: 0,
             burst: 0,
+            burst_at: LocalTicks::ZERO,
+            missed: 0,
             outliers: 0,
             strange: 0,
             rc_ends: 0,
@@ -201,7 +211,7 @@ impl Peer {
             self.rc_ends = 0;
             self.forget();
         }
-        self.burst = BURST;
+        (self.burst, self.burst_at) = (BURST, now);
         self.ask_at(Some(now));
     }
 
@@ -325,6 +335,10 @@ impl Peer {
             Some(partner) if to == Some(BusDrop::BROADCAST) => (partner.search, partner.best) = (open, None),
             _ => {
                 self.unanswered = self.unanswered.saturating_add(u32::from(self.open.is_some()));
+                self.missed = if self.open.is_some() { self.missed.saturating_add(1) } else { 0 };
+                if self.missed >= BURST_MISSES_MAX {
+                    self.burst = 0;
+                }
                 self.open = open;
             }
         }
@@ -375,8 +389,9 @@ impl Peer {
 
     /// Asks often again, from now on: a root was lost, or another time was taken over.
     pub(crate) fn hurry(&mut self, now: LocalTicks) {
-        if self.request_at.is_some() && self.partner.is_none() {
-            self.burst = BURST;
+        let is_late = now.since(self.burst_at) >= Span::from_us(BURST_PAUSE_US);
+        if self.request_at.is_some() && self.partner.is_none() && is_late {
+            (self.burst, self.burst_at) = (BURST, now);
             self.ask_at(Some(now));
         }
     }
