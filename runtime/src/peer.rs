@@ -17,10 +17,8 @@ use osap_protocol::{BusDrop, DropCause};
 pub const BURST: u8 = 200;
 /// Between them, µs.
 pub const BURST_INTERVAL_US: u64 = 5_000;
-/// No second burst begins so soon after one, µs: a clock that is set anew again and again, as an emulated one, may not fill its links.
-const BURST_PAUSE_US: u64 = 10_000_000;
 /// Requests in a row without an answer that end a burst: a neighbour that takes longer than the pause between them would never be heard.
-pub const BURST_MISSES_MAX: u8 = 4;
+pub const BURST_MISSES_MAX: u8 = 8;
 /// How much less often neighbours are asked that are no source, `[TIM-05]`.
 pub const SLOW_FACTOR: u32 = 8;
 /// Absurd replies in a row after which what was known is forgotten, `[TIM-06]`.
@@ -159,8 +157,6 @@ pub(crate) struct Peer {
     estimate: Option<Estimate>,
     sequence: u8,
     burst: u8,
-    /// When the last burst began.
-    burst_at: LocalTicks,
     /// Requests in a row without an answer.
     missed: u8,
     outliers: u8,
@@ -191,7 +187,6 @@ impl Peer {
             estimate: None,
             sequence: 0,
             burst: 0,
-            burst_at: LocalTicks::ZERO,
             missed: 0,
             outliers: 0,
             strange: 0,
@@ -211,7 +206,7 @@ impl Peer {
             self.rc_ends = 0;
             self.forget();
         }
-        (self.burst, self.burst_at) = (BURST, now);
+        self.burst = BURST;
         self.ask_at(Some(now));
     }
 
@@ -389,9 +384,8 @@ impl Peer {
 
     /// Asks often again, from now on: a root was lost, or another time was taken over.
     pub(crate) fn hurry(&mut self, now: LocalTicks) {
-        let is_late = now.since(self.burst_at) >= Span::from_us(BURST_PAUSE_US);
-        if self.request_at.is_some() && self.partner.is_none() && is_late {
-            (self.burst, self.burst_at) = (BURST, now);
+        if self.request_at.is_some() && self.partner.is_none() {
+            self.burst = BURST;
             self.ask_at(Some(now));
         }
     }

@@ -1,7 +1,7 @@
 //! `osap clock`: how well the devices agree on the time, waiting until they do, and what steers them.
 //!
-//! - **Walk:** [`watch`] and [`wait`] → [`Session::read_clocks`](crate::session::Session::read_clocks) → `table`, `plot`, `html`;
-//!   [`tune`] → queries 10, 12 and 14.
+//! - **Walk:** `watch` and `wait` → [`Session::read_clocks`](crate::session::Session::read_clocks) → `table`, `plot`, `html`;
+//!   `tune` → queries 10, 12 and 14.
 //! - **Clauses:** `[TIM-09]` to `[TIM-13]`.
 
 mod html;
