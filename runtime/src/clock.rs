@@ -1,6 +1,6 @@
 //! The node's clock: which root it follows, what it makes of its neighbours' answers, and the map from its counter to system time.
 //!
-//! - **Walk:** an accepted time reply → [`Clock::follow`] → the map; [`Clock::reply`] tells neighbours; queries 9, 10, 12.
+//! - **Walk:** an accepted time reply → `Clock::follow` → the map; `Clock::reply` tells neighbours; queries 9, 10, 12.
 //! - **Invariants:** the counter is never disciplined. What was settled and is live is never stepped. The bound counts what is
 //!   not slewed yet. Settings are within their ranges, whatever is asked.
 //! - **Context:** the node's; a few products and divisions of 64 bits an accepted reply, at most 200 a second and link.
