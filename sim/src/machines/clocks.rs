@@ -1,6 +1,6 @@
 //! Networks in which clocks are measured: a line of hubs, a tree, each node with a crystal, a timer and stamps of its own.
 //!
-//! - **Walk:** [`line`] or [`tree`] → the nodes' clock service → [`World::exact`] at one instant, and what each node makes of it.
+//! - **Walk:** [`line()`] or [`tree`] → the nodes' clock service → [`World::exact`] at one instant, and what each node makes of it.
 //! - **Invariants:** links are 3 Mbaud UARTs; processors are [`PICO_125_MHZ`]. Rates and boot times are drawn from the world's seed. The first
 //!   node boots first.
 //! - **Context:** before the world's first step. **Clause:** `[NOD-12]`.
