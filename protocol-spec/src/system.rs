@@ -32,12 +32,14 @@ pub enum SystemKey {
     Log = 4,
     /// Firmware in pieces.
     Firmware = 5,
+    /// A stop of all motion or its resume, told on by every node.
+    Halt = 6,
 }
 
 impl SystemKey {
     /// All of them, in the order of their keys.
-    pub const ALL: [Self; 6] =
-        [Self::TimeRequest, Self::TimeReply, Self::Announcement, Self::Trace, Self::Log, Self::Firmware];
+    pub const ALL: [Self; 7] =
+        [Self::TimeRequest, Self::TimeReply, Self::Announcement, Self::Trace, Self::Log, Self::Firmware, Self::Halt];
 
     /// The number that stands for it.
     #[must_use]
@@ -61,6 +63,7 @@ impl SystemKey {
             Self::Trace => "trace",
             Self::Log => "log",
             Self::Firmware => "firmware",
+            Self::Halt => "halt",
         }
     }
 }
@@ -133,6 +136,6 @@ mod tests {
         for (key, expected) in (0u8..).zip(SystemKey::ALL) {
             assert_eq!((SystemKey::from_key(key), expected.key()), (Some(expected), key));
         }
-        assert_eq!(SystemKey::from_key(6), None);
+        assert_eq!(SystemKey::from_key(7), None);
     }
 }

@@ -95,6 +95,9 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         self.topology_generation = self.topology_generation.wrapping_add(1);
         self.gateways[index.at()].change = Some(change);
         self.time_of_neighbour(index, now);
+        if change != NeighbourChange::Lost {
+            self.halt_for_neighbour(index, now);
+        }
         self.debug.record(Verbosity::Events, now, || Event::Neighbour { gateway: index.get(), change });
     }
 }

@@ -5,6 +5,7 @@
 //! - **Clauses:** `[PKT-10]`, `[PKT-12]`, `[SYS-03]`, `[NOD-06]`.
 
 use crate::exchange::TIME_BYTES_MAX;
+use crate::halt::HALT_BYTES_MAX;
 use crate::node::{MTU_BYTES_MIN, Node};
 use crate::pool::Taker;
 use fixed_math::time::LocalTicks;
@@ -44,6 +45,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
             .get(gateway.at())
             .is_some_and(|it| it.open && (it.waiting > 0 || it.announce_at.is_some_and(|at| at <= now)))
             || self.has_time_message(gateway, now)
+            || self.has_halt(gateway, now)
     }
 
     /// Copies the next packet for `gateway` into `out`, to be called when the gateway is clear to send. `out` holds the gateway's
@@ -64,6 +66,12 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         limit_bytes: usize,
         send: impl FnOnce(Departure<'_>) -> R,
     ) -> Option<R> {
+        if self.has_halt(index, now) {
+            let mut message = [0; HALT_BYTES_MAX];
+            if let Some(Outgoing { len, to, is_stamped }) = self.halt_message(index, now, &mut message) {
+                return Some(send(Departure { packet: message.get_mut(..len.min(limit_bytes))?, to, is_stamped }));
+            }
+        }
         let gateway = self.gateways.get(index.at()).filter(|gateway| gateway.open)?;
         if gateway.announces(now) && !gateway.yields() {
             let mut announcement = [0; MTU_BYTES_MIN as usize];

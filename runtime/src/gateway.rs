@@ -3,6 +3,7 @@
 //! - **Walk:** ingress names the gateway a packet came by; routing names the one it leaves by.
 //! - **Clauses:** `[LNK-02]` description, `[NOD-01]` hold, `[SYS-04]` neighbour.
 
+use crate::halt::Telling;
 use crate::peer::Peer;
 use fixed_math::time::{LocalTicks, Span};
 use osap_protocol::discovery::{GatewayKind, LinkInfo, Neighbour};
@@ -93,6 +94,8 @@ pub struct Gateway {
     pub(crate) change: Option<osap_protocol::discovery::NeighbourChange>,
     /// The clock at the other end.
     pub(crate) peer: Peer,
+    /// The halt that is still to be told there.
+    pub(crate) telling: Telling,
 }
 
 impl Gateway {
@@ -111,6 +114,7 @@ impl Gateway {
             announced_last: false,
             change: None,
             peer: Peer::new(config.stamps),
+            telling: Telling::NONE,
         }
     }
 

@@ -86,7 +86,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         if let Instruction::System(key) = instruction {
             return match SystemKey::from_key(key) {
                 // one step and no more, `[SYS-02]`: what was forwarded here tells nothing of who is at the other end of this link
-                Some(SystemKey::Announcement | SystemKey::TimeRequest | SystemKey::TimeReply)
+                Some(SystemKey::Announcement | SystemKey::TimeRequest | SystemKey::TimeReply | SystemKey::Halt)
                     if view.taken().len() > Instruction::width(view.taken()[0]) =>
                 {
                     Err(DropCause::SystemMalformed)
@@ -97,6 +97,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
                 Some(key @ (SystemKey::TimeRequest | SystemKey::TimeReply)) => {
                     self.hear_time(key, arrival, &view.bytes()[view.after_instruction()..], started, now)
                 }
+                Some(SystemKey::Halt) => self.hear_halt(arrival, &view.bytes()[view.after_instruction()..], now),
                 _ => Err(DropCause::UnknownSystemKey),
             };
         }

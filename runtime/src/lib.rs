@@ -26,6 +26,7 @@ pub mod stack;
 mod announce;
 mod egress;
 mod exchange;
+mod halt;
 mod ingress;
 mod peer;
 

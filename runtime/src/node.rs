@@ -34,6 +34,7 @@ use crate::route::{Exit, decide};
 use crate::stack::Stack;
 use fixed_math::time::{LocalTicks, Span};
 use osap_protocol::discovery::{BuildKind, Event, Name, NeighbourChange, ScanId, Stage, UniqueId, Verbosity};
+use osap_protocol::halt::Halt;
 use osap_protocol::system::NEIGHBOUR_TIMEOUT_US;
 use osap_protocol::{DropCause, GatewayIndex, Instruction, PortIndex};
 
@@ -74,6 +75,8 @@ pub struct Node<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, c
     /// Scan id of the last visit, and of the one before it, `[DSC-03]`.
     pub(crate) visits: [ScanId; 2],
     pub(crate) topology_generation: u32,
+    /// The latest halt there was.
+    pub(crate) halt: Option<Halt>,
     /// No neighbour is silent for too long before this: the earliest of them when last looked, as they only ever move on.
     pub(crate) silence_at: LocalTicks,
 }
@@ -102,6 +105,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
             clock: Clock::new(identity.unique_id),
             visits: [ScanId::default(); 2],
             topology_generation: 0,
+            halt: None,
             silence_at: LocalTicks::MAX,
         }
     }
@@ -292,7 +296,8 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         let expiry = self.stack.earliest_deadline(&self.pool);
         let announcements = self.gateways.iter().filter_map(|gateway| gateway.announce_at);
         let time = self.gateways.iter().map(|gateway| gateway.peer.due_at());
-        let own = announcements.chain(time).chain([self.silence_at, self.clock.due_at()]).min();
+        let halts = self.gateways.iter().filter(|gateway| gateway.open).filter_map(|gateway| gateway.telling.due_at());
+        let own = announcements.chain(time).chain(halts).chain([self.silence_at, self.clock.due_at()]).min();
         own.into_iter().chain(expiry).min().filter(|at| *at < LocalTicks::MAX)
     }
 

@@ -6,6 +6,7 @@ use super::packet::whose;
 use super::shapes::{self, Item};
 use super::{Pen, count, hex};
 use osap_protocol::discovery::{self, Query, Refusal, TimeSettings, VERSION, check_query};
+use osap_protocol::halt::{HALT_VERSION, Halt};
 use osap_protocol::system::{Announcement, SystemKey};
 use osap_protocol::time::{TIER_MAX, TIME_VERSION, TimeReply, TimeRequest};
 use osap_protocol::transport::{SegmentHeader, SegmentRefusal, SequencedHeader, SequencedKind, Transport};
@@ -237,6 +238,7 @@ fn system(pen: &mut Pen<'_>, key: u8, at: usize, steps: Steps) {
     match SystemKey::from_key(key) {
         Some(SystemKey::Announcement) => announcement(pen, payload, at, steps),
         Some(key @ (SystemKey::TimeRequest | SystemKey::TimeReply)) => time(pen, key, payload, at, steps),
+        Some(SystemKey::Halt) => halt(pen, payload, at, steps),
         Some(other) => {
             opaque(pen, at, other.name(), "a node that does not serve it counts one more unknown-system-key");
         }
@@ -266,6 +268,24 @@ fn announcement(pen: &mut Pen<'_>, payload: &[u8], at: usize, steps: Steps) {
     } else if steps.all != 1 {
         let what = format!("an announcement has a route of one step, this one has {}", steps.all);
         pen.problem(at, None, "SYS-02", what, "it tells a node of a neighbour that is none");
+    }
+}
+
+/// A stop of all motion, or its resume: fixed width too.
+fn halt(pen: &mut Pen<'_>, payload: &[u8], at: usize, steps: Steps) {
+    let shown = body::show(pen, at, shapes::HALT);
+    if let Err(cause) = Halt::decode(payload) {
+        let (at, what) = match shown {
+            Shown::Wrong { at, what } => (at, what),
+            Shown::Whole if payload.first() != Some(&HALT_VERSION) => {
+                (at, format!("version {} is not served", hex::hex_of(&payload[..1])))
+            }
+            Shown::Whole => (at + 1, "an action that means nothing: 0 is stop, 1 is resume".to_owned()),
+        };
+        fault(pen, at, cause, "MOT-20", what, steps);
+    } else if steps.all != 1 {
+        let what = format!("a halt has a route of one step, this one has {}", steps.all);
+        fault(pen, at, DropCause::SystemMalformed, "MOT-20", what, steps);
     }
 }
 

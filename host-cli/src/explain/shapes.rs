@@ -272,6 +272,15 @@ const SEQUENCE: Item = item("sequence", Shape::Byte);
 pub(super) const TIME_REQUEST: &[Item] =
     &[VERSION, SEQUENCE, item("below tier", Shape::Byte), item("departed", Shape::Fixed(Width::U32, Unit::Steps))];
 
+/// Body of a halt, `[MOT-20]`.
+pub(super) const HALT: &[Item] = &[
+    VERSION,
+    item("action", Shape::Byte),
+    item("sequence", Shape::Fixed(Width::U32, Unit::None)),
+    item("epoch", Shape::Fixed(Width::U64, Unit::Steps)),
+    item("origin", Shape::Digits(12)),
+];
+
 /// Body of a time reply, `[TIM-02]`.
 pub(super) const TIME_REPLY: &[Item] = &[
     VERSION,

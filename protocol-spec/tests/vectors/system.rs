@@ -4,6 +4,7 @@ use crate::headers::{Said, route};
 use crate::{Clauses, Hex, each, vector_file, vectors};
 use fixed_math::time::{LocalTicks, NetTime, PeerTicks, Rate};
 use osap_protocol::discovery::UniqueId;
+use osap_protocol::halt::{Action, Halt};
 use osap_protocol::header::{Terminal, emit};
 use osap_protocol::system::{ANNOUNCEMENT_VERSION, Announcement, SystemKey};
 use osap_protocol::time::{Root, TimeReply, TimeRequest, UnixOffset, stamp, unwrap_stamp};
@@ -19,6 +20,7 @@ struct SystemFile {
     announcement: Vec<Announced>,
     time_request: Vec<Asked>,
     time_reply: Vec<Answered>,
+    halt: Vec<Halted>,
     refused: Vec<RefusedSystem>,
 }
 
@@ -123,6 +125,22 @@ impl Answered {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
+struct Halted {
+    name: String,
+    clause: Clauses,
+    bytes: Hex,
+    step: Said,
+    ttl_us: u16,
+    mtu_bytes: u16,
+    action: String,
+    sequence: u32,
+    /// TOML has 64 bits with a sign: as two's complement.
+    epoch_steps: i64,
+    origin: Hex,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
 struct RefusedSystem {
     name: String,
     clause: Clauses,
@@ -131,7 +149,7 @@ struct RefusedSystem {
     cause: String,
 }
 
-vectors!(NamedKey, Announced, Asked, Answered, RefusedSystem);
+vectors!(NamedKey, Announced, Asked, Answered, Halted, RefusedSystem);
 
 fn unique_id(bytes: &Hex) -> UniqueId {
     UniqueId(bytes.0[..].try_into().expect("a unique id has twelve bytes"))
@@ -192,11 +210,27 @@ fn system_messages() {
         assert_eq!(TimeReply::decode(&v.bytes.0[start..]), Ok(reply), "{at}: read");
         assert_eq!(reply.answered(), PeerTicks::from_steps(v.departed_steps), "{at}: departure");
     });
+    each(SYSTEM, &file.halt, |at, v| {
+        let action = match &v.action[..] {
+            "stop" => Action::Stop,
+            "resume" => Action::Resume,
+            other => panic!("{at}: there is no action `{other}`"),
+        };
+        let epoch = NetTime::from_steps(v.epoch_steps.cast_unsigned());
+        let halt = Halt { action, sequence: v.sequence, epoch, origin: unique_id(&v.origin) };
+        let (out, start) = packet((v.step, v.ttl_us, v.mtu_bytes), SystemKey::Halt, |room| {
+            room[..Halt::LEN].copy_from_slice(&halt.encode());
+            Halt::LEN
+        });
+        assert_eq!(out, v.bytes.0, "{at}: written");
+        assert_eq!(Halt::decode(&v.bytes.0[start..]), Ok(halt), "{at}: read");
+    });
     each(SYSTEM, &file.refused, |at, v| {
         let cause = match SystemKey::from_key(v.key) {
             Some(SystemKey::TimeRequest) => TimeRequest::decode(&v.bytes.0).expect_err(&at.to_string()),
             Some(SystemKey::TimeReply) => TimeReply::decode(&v.bytes.0).expect_err(&at.to_string()),
             Some(SystemKey::Announcement) => Announcement::decode(&v.bytes.0).expect_err(&at.to_string()),
+            Some(SystemKey::Halt) => Halt::decode(&v.bytes.0).expect_err(&at.to_string()),
             Some(other) => panic!("{at}: {} is not read here", other.name()),
             None => DropCause::UnknownSystemKey,
         };
