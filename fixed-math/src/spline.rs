@@ -3,7 +3,8 @@
 //! - **Walk:** a control point's last step before limits and outputs: track queue → *this module* → step, phase or set point.
 //! - **Invariants:** the weights are the integers 1, 4, 1 over 6, never rounded fractions of them, so a constant input comes out as
 //!   itself. The n-th derivative carries 1/Tⁿ. What does not fit saturates towards its own sign.
-//! - **Context:** the reference of every faster evaluator: 128-bit integers, so workstation and tests, not interrupts.
+//! - **Context:** the reference of every faster evaluator: 128-bit integers, so workstation and tests, not interrupts. Interrupts
+//!   take [`horner`] for any instant and [`differences`] for instants that are equally far apart.
 //!
 //! ```
 //! use fixed_math::spline::{IntervalLog2, Segment};
@@ -15,6 +16,12 @@
 //! assert_eq!(sample.velocity_per_s, 1_000_000);
 //! assert_eq!((sample.acceleration_per_s2, sample.jerk_per_s3), (0, 0));
 //! ```
+
+pub mod differences;
+pub mod horner;
+mod reach;
+
+pub use reach::{DIFFERENCE_MAX, TooFar};
 
 /// Shortest interval: 2^8 µs.
 pub const INTERVAL_LOG2_MIN: u32 = 8;
@@ -39,6 +46,28 @@ impl IntervalLog2 {
     #[must_use]
     pub const fn us(self) -> u32 {
         1 << self.0
+    }
+
+    /// Base-two logarithm of the interval in µs, 8 to 14.
+    #[must_use]
+    pub const fn log2(self) -> u32 {
+        self.0
+    }
+
+    /// The interval in steps of 1/256 µs, the resolution of system time.
+    #[must_use]
+    pub const fn steps(self) -> u32 {
+        1 << (self.0 + 8)
+    }
+
+    /// The part of an interval, in 2^-16 of it, that has gone by `since_knot_steps` steps of 1/256 µs after the knot: rounded down, which
+    /// moves the instant by less than 2^(k−16) µs, a quarter of a µs at most. At or past the next knot it is the last part before that one.
+    #[must_use]
+    #[inline]
+    #[expect(clippy::cast_possible_truncation, reason = "the minimum fits by its right side")]
+    pub const fn part(self, since_knot_steps: u32) -> u16 {
+        let part = since_knot_steps >> (self.0 - 8);
+        if part > u16::MAX as u32 { u16::MAX } else { part as u16 }
     }
 }
 
