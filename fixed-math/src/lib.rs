@@ -7,7 +7,10 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+pub mod brake;
 pub mod clock;
+pub mod limits;
 pub mod spline;
 pub mod time;
+pub mod warp;
 mod widening;
