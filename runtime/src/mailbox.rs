@@ -6,10 +6,13 @@
 //!   [`Mailbox`] is implemented over a lock that is held for one call at a time, so that no handler's own work keeps packets waiting.
 //! - **Clauses:** `[PKT-11]`, `[PKT-13]`, `[TRN-03]`, `[NOD-06]`, `[NOD-07]`, `[NOD-11]`.
 
+use crate::clock::SystemTime;
 use crate::node::Node;
 use crate::pool::{Owner, Pool, SlotId, Tag, Taker};
-use fixed_math::time::{LocalTicks, Span};
+use fixed_math::clock::SlewedMap;
+use fixed_math::time::{LocalTicks, NetTime, Span};
 use osap_protocol::discovery::Stage;
+use osap_protocol::halt::{Action, Halt};
 use osap_protocol::header::{PORT_HEADER_BYTES, Terminal, emit};
 use osap_protocol::transport::{SequencedHeader, SequencedKind, Transport};
 use osap_protocol::{DropCause, Instruction, Packet, PortIndex, Route};
@@ -135,6 +138,18 @@ pub trait Mailbox {
     /// # Errors
     /// [`SendError`], counted as `send-refused` or under its own cause; nothing is held then.
     fn send(&mut self, port: PortIndex, to: Outbound<'_>, parts: &[&[u8]], now: LocalTicks) -> Result<(), SendError>;
+
+    /// System time now, and the map from the counter to it, for who plays tracks by it.
+    fn system_time(&mut self, now: LocalTicks) -> (SystemTime, SlewedMap);
+
+    /// Says whether something follows system time, so that it is slewed and never set.
+    fn set_live(&mut self, live: bool);
+
+    /// The latest halt.
+    fn halt(&mut self) -> Option<Halt>;
+
+    /// As [`Node::raise_halt`].
+    fn raise_halt(&mut self, action: Action, epoch: NetTime, now: LocalTicks) -> Halt;
 }
 
 impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS: usize> Mailbox
@@ -199,6 +214,22 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
             Err(_) => self.count(DropCause::SendRefused, None, now),
         }
         result
+    }
+
+    fn system_time(&mut self, now: LocalTicks) -> (SystemTime, SlewedMap) {
+        (self.clock.system_time(now), *self.clock.map())
+    }
+
+    fn set_live(&mut self, live: bool) {
+        self.clock.set_live(live);
+    }
+
+    fn halt(&mut self) -> Option<Halt> {
+        self.halt
+    }
+
+    fn raise_halt(&mut self, action: Action, epoch: NetTime, now: LocalTicks) -> Halt {
+        Self::raise_halt(self, action, epoch, now)
     }
 }
 

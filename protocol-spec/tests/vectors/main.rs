@@ -8,6 +8,7 @@
 mod framing;
 mod headers;
 mod messages;
+mod motion;
 mod sizes;
 mod system;
 
@@ -18,7 +19,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 /// Files that a test below reads. Another one in the folder is an error.
-const FILES: [&str; 10] = [
+const FILES: [&str; 11] = [
     headers::HEADER,
     headers::INSTRUCTIONS,
     headers::ROUTES,
@@ -29,6 +30,7 @@ const FILES: [&str; 10] = [
     system::SYSTEM,
     messages::DISCOVERY,
     sizes::SIZES,
+    motion::MOTION,
 ];
 
 fn folder(name: &str) -> PathBuf {

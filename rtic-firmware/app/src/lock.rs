@@ -5,8 +5,11 @@
 //!   service. After a call that may have made output, the routing task is told.
 //! - **Context:** the serving task. **Clause:** `[NOD-06]`.
 
-use fixed_math::time::LocalTicks;
+use fixed_math::clock::SlewedMap;
+use fixed_math::time::{LocalTicks, NetTime};
+use osap_protocol::halt::{Action, Halt};
 use osap_protocol::{DropCause, PortIndex};
+use osap_runtime::clock::SystemTime;
 use osap_runtime::{Delivery, Mailbox, Outbound, SendError};
 
 /// How an image shares its node.
@@ -66,6 +69,24 @@ impl<L: NodeLock> Mailbox for SharedMailbox<L> {
         let result = self.0.lock(|node| node.send(port, to, parts, now));
         self.0.wake_routing();
         result
+    }
+
+    fn system_time(&mut self, now: LocalTicks) -> (SystemTime, SlewedMap) {
+        self.0.lock(|node| Mailbox::system_time(node, now))
+    }
+
+    fn set_live(&mut self, live: bool) {
+        self.0.lock(|node| node.set_live(live));
+    }
+
+    fn halt(&mut self) -> Option<Halt> {
+        self.0.lock(Mailbox::halt)
+    }
+
+    fn raise_halt(&mut self, action: Action, epoch: NetTime, now: LocalTicks) -> Halt {
+        let halt = self.0.lock(|node| node.raise_halt(action, epoch, now));
+        self.0.wake_routing();
+        halt
     }
 }
 
