@@ -9,8 +9,15 @@
 
 pub mod brake;
 pub mod clock;
+pub mod lag;
+pub mod level;
 pub mod limits;
+pub mod logic;
+pub mod phase;
+pub mod ramp;
+pub mod servo;
 pub mod spline;
+pub mod steps;
 pub mod time;
 pub mod warp;
 mod widening;
