@@ -7,8 +7,9 @@
 use crate::link::{LinkError, SpecError};
 use crate::map::RouteText;
 use crate::network::SimSpecError;
-use crate::session::RouteTooSlow;
+use crate::session::{RefusalText, RouteTooSlow};
 use osap_protocol::discovery::Refusal;
+use osap_protocol::motion::MotionRefusal;
 use osap_protocol::transport::SegmentRefusal;
 use osap_runtime::SendError;
 use osap_runtime::segmented::MessageError;
@@ -166,6 +167,13 @@ pub enum AskError {
         /// The reason it gave.
         reason: SegmentRefusal,
     },
+    /// A motion port refused.
+    MotionRefused {
+        /// Who was asked.
+        place: Place,
+        /// Why.
+        refusal: MotionRefusal,
+    },
     /// The network cannot go on.
     Network(NetworkError),
 }
@@ -201,6 +209,7 @@ impl Display for AskError {
             Self::MessageRefused { place, reason: SegmentRefusal::TooLong } => {
                 write!(f, "{place} has no room for a message of this length; send a shorter one")
             }
+            Self::MotionRefused { place, refusal } => write!(f, "{place} refused motion: {}", RefusalText(refusal)),
             Self::Network(error) => error.fmt(f),
         }
     }

@@ -19,11 +19,13 @@
 
 mod budget;
 mod echo;
+mod motion;
 mod queries;
 mod window;
 
 pub use budget::{RouteBudget, RouteTooSlow, TTL_DEFAULT_US};
 pub use echo::{ECHO_PORT, Echo};
+pub(crate) use motion::RefusalText;
 pub use queries::{Answer, Counter, DebugLog};
 pub(crate) use window::{Question, Reported};
 pub use window::{WINDOW_A_LINK, WINDOW_IN_ALL, Window};
@@ -211,12 +213,16 @@ impl Session {
     /// # Errors
     /// [`AskError`].
     pub fn request(&mut self, to: &Destination, what: &'static str, payload: &[u8]) -> Result<Reply, AskError> {
+        let outcome = self.outcome_of(to, payload)?;
+        self.settle_outcome(to, what, outcome)
+    }
+
+    /// Sends `payload` as a sequenced request; what came of it.
+    fn outcome_of(&mut self, to: &Destination, payload: &[u8]) -> Result<Outcome, AskError> {
         let mut outcome = None;
         let question = Question { to: to.clone(), expect: Expect::One, payload: payload.to_vec(), tag: 0 };
         Window::default().run(&mut *self.network, vec![question], &mut |reported| outcome = Some(reported.result))?;
-        let outcome =
-            outcome.ok_or(NetworkError::Idle)?.map_err(|error| AskError::Send { place: self.place(to), error })?;
-        self.settle_outcome(to, what, outcome)
+        outcome.ok_or(NetworkError::Idle)?.map_err(|error| AskError::Send { place: self.place(to), error })
     }
 
     /// The reply, or what there was instead of one.

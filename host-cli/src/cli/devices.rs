@@ -130,7 +130,7 @@ impl<'a> Scanned<'a> {
             AskError::TooSlow { place, .. } | AskError::Send { place, .. } | AskError::Message { place, .. } => {
                 (Exit::NoAnswer, told, there(place), format!("`{scan}` shows what can be reached now"))
             }
-            AskError::MessageRefused { place, .. } => {
+            AskError::MessageRefused { place, .. } | AskError::MotionRefused { place, .. } => {
                 (Exit::Refused, told, there(place), format!("`{}` shows why", self.counters_hint()))
             }
             AskError::Malformed { place, .. } => (
