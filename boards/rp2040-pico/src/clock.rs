@@ -40,7 +40,7 @@ pub struct Stamp {
 
 impl Stamp {
     /// Steps of a [`LocalTicks`] from the timer's microsecond to the instant itself, of either sign where the counters were not read at once.
-    const fn fraction(self) -> i64 {
+    pub(crate) const fn fraction(self) -> i64 {
         let of_timer = (self.us << COUNT_BITS).to_le_bytes()[0];
         (self.sixteenths.wrapping_sub(of_timer).cast_signed() as i64) << (FRACTION_BITS - COUNT_BITS)
     }

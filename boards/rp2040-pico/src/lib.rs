@@ -1,8 +1,9 @@
 //! Raspberry Pi Pico: RP2040 at 125 MHz, UART0 and UART1 at 3 Mbaud by DMA, USB-CDC, settings in flash, watchdog.
 //!
-//! - **Walk:** UART → DMA → [`uart`] → the image's routing task → [`uart`] → DMA → UART; the same with [`usb`].
+//! - **Walk:** UART → DMA → [`uart`] → the image's routing task → [`uart`] → DMA → UART; the same with [`usb`]. [`pace`] → interpolation →
+//!   [`outputs`].
 //! - **Invariants:** all code and constants are in RAM, the vector table too, so that writing the flash delays nobody. DMA channels 0 to 7
-//!   are the UARTs'; of the PWM, slice 0 is [`pace`]'s and slice 7 [`clock`]'s.
+//!   are the UARTs'; of the PWM, slice 0 is [`pace`]'s, slices 1 and 5 are [`outputs`]' and slice 7 is [`clock`]'s.
 //! - **Context:** [`Board::init`] in `init`, the rest where its module says.
 //!
 //! | pin | is | pin | is |
@@ -10,6 +11,8 @@
 //! | GPIO0 | UART0 TX | GPIO4 | UART1 TX |
 //! | GPIO1 | UART0 RX | GPIO5 | UART1 RX |
 //! | GPIO18 | kind, bit 0 | GPIO19, GPIO20 | kind, bits 1 and 2 |
+//! | GPIO6 to GPIO13 | steps and directions | GPIO14 | enable of motor drivers |
+//! | GPIO2, GPIO3 | coil A | GPIO26, GPIO27 | coil B |
 //!
 //! The kind's pins are read once at start-up: open is 0, tied to 3.3 V is 1; the number is an index into `firmware_app::kind::KINDS`.
 #![no_std]
@@ -17,6 +20,7 @@
 
 pub mod clock;
 pub mod flash;
+pub mod outputs;
 pub mod pace;
 pub mod uart;
 pub mod usb;
@@ -74,8 +78,14 @@ pub struct Board {
     pub watchdog: Watchdog,
     /// To wake routing.
     pub alarm: clock::Alarm,
-    /// A steady beat, which stands still until it is started.
+    /// The beat of interpolation, which stands still until it is started.
     pub pace: pace::Pace,
+    /// Steps and directions, all low.
+    pub steps: outputs::StepPins,
+    /// Coils, without current.
+    pub phases: outputs::PhasePins,
+    /// Motor drivers, off.
+    pub enable: outputs::Enable,
     /// Silicon's number: the flash chip's 64 bits behind four letters.
     pub unique_id: [u8; 12],
     /// Number set by the kind's pins.
@@ -124,6 +134,7 @@ impl Board {
             pins.gpio20.into_pull_down_input().is_high(),
         ];
         let straps = levels.into_iter().rev().fold(0, |number, bit| (number << 1) | u8::from(bit == Ok(true)));
+        let (steps, phases, enable) = outputs::start();
         let config = || UartConfig::new(UART_BAUD.Hz(), DataBits::Eight, None, StopBits::One);
         let rate_hz = clocks.peripheral_clock.freq();
         let uart0 =
@@ -138,8 +149,19 @@ impl Board {
         let usb = with_usb
             .then(|| usb::UsbWire::new(p.USBCTRL_REGS, p.USBCTRL_DPRAM, clocks.usb_clock, &mut p.RESETS, &unique_id));
         let report = take_report().or_else(|| by_watchdog.then(Report::watchdog));
-        let (watchdog, pace) = (Watchdog(watchdog), pace::Pace::new());
-        Self { uarts: wires, usb, watchdog, alarm: timer, pace, unique_id, straps, report }
+        Self {
+            uarts: wires,
+            usb,
+            watchdog: Watchdog(watchdog),
+            alarm: timer,
+            pace: pace::Pace::new(),
+            steps,
+            phases,
+            enable,
+            unique_id,
+            straps,
+            report,
+        }
     }
 }
 

@@ -55,7 +55,15 @@ pub type PicoServices = ();
 pub type PicoInterpolation = crate::interpolation::Interpolation;
 /// None of it.
 #[cfg(not(feature = "pace"))]
-pub type PicoInterpolation = ();
+pub struct PicoInterpolation;
+
+#[cfg(not(feature = "pace"))]
+impl PicoInterpolation {
+    /// Leaves the beat standing still.
+    const fn start(_: board_rp2040_pico::pace::Pace) -> Self {
+        Self
+    }
+}
 
 /// The kinds this image can be: all that there are, or in a node alone these without their services.
 static KINDS: [Kind; kind::KINDS.len()] = if cfg!(feature = "services") { kind::KINDS } else { kind::WITHOUT_PORTS };
@@ -191,6 +199,8 @@ pub struct Parts {
     pub services: PicoServices,
     /// Idle's own.
     pub keeper: Keeper,
+    /// Interpolation's own.
+    pub interpolation: PicoInterpolation,
 }
 
 /// Starts the board and makes the device.
@@ -222,8 +232,7 @@ pub fn start(peripherals: Peripherals) -> Parts {
     };
     #[cfg(feature = "settings")]
     keeper.restore(&mut node);
-    #[cfg(feature = "pace")]
-    board.pace.start();
+    let interpolation = PicoInterpolation::start(board.pace);
     #[cfg(feature = "watchdog")]
     let watchdog = {
         let mut watchdog = board.watchdog;
@@ -235,7 +244,7 @@ pub fn start(peripherals: Peripherals) -> Parts {
         #[cfg(feature = "watchdog")]
         watchdog,
     };
-    Parts { node, links, routing, services, keeper }
+    Parts { node, links, routing, services, keeper, interpolation }
 }
 
 /// The settings' keeper, the name in them and which start this is.

@@ -12,9 +12,11 @@
 #![expect(clippy::cast_possible_truncation, reason = "of points within the range all sums fit")]
 
 use board_rp2040_pico::clock::{self, Stamp};
-use board_rp2040_pico::pace::{PERIOD_US, Pace};
+use board_rp2040_pico::pace::Pace;
 use core::sync::atomic::{AtomicI32, AtomicU32, Ordering};
 
+/// From one beat to the next, µs.
+const PERIOD_US: u32 = 64;
 /// As many as make a beat of 600 to 1,000 cycles: an evaluation has four products of 64 bits, of some 80 cycles each on a Cortex-M0+.
 const AXES: usize = 2;
 /// Control points are 2^12 µs apart.
@@ -72,22 +74,22 @@ impl Axis {
 
 /// What the task has to itself.
 pub struct Interpolation {
+    pace: Pace,
     axes: [Axis; AXES],
     beat: u32,
 }
 
-impl Default for Interpolation {
-    /// All axes at rest at zero.
-    fn default() -> Self {
-        Self { axes: [Axis::new(500), Axis::new(-1_700)], beat: 0 }
-    }
-}
-
 impl Interpolation {
+    /// All axes at rest at zero, the beat running.
+    pub fn start(mut pace: Pace) -> Self {
+        pace.start(PERIOD_US);
+        Self { pace, axes: [Axis::new(500), Axis::new(-1_700)], beat: 0 }
+    }
+
     /// One beat.
     pub fn beat(&mut self) {
         let Stamp { us, .. } = clock::stamp();
-        Pace::clear();
+        self.pace.clear();
         LATCHED_US.store(us, Ordering::Relaxed);
         let begins = self.beat == 0;
         let t_us = self.beat * PERIOD_US;

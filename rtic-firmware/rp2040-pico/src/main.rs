@@ -74,9 +74,10 @@ mod app {
 
     #[init]
     fn init(cx: init::Context) -> (Shared, Local) {
-        let crate::device::Parts { node, links, routing, services, keeper } = crate::device::start(cx.device);
+        let crate::device::Parts { node, links, routing, services, keeper, interpolation } =
+            crate::device::start(cx.device);
         wake_routing();
-        let local = Local { routing, services, keeper, interpolation: PicoInterpolation::default() };
+        let local = Local { routing, services, keeper, interpolation };
         (Shared { node, links, due: None }, local)
     }
 

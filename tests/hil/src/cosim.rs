@@ -474,7 +474,7 @@ impl Cosim {
         self.ask::<Value>(command).map(|_| ())
     }
 
-    fn ask<A: serde::de::DeserializeOwned>(&mut self, command: &Value) -> Result<A, CosimError> {
+    pub(crate) fn ask<A: serde::de::DeserializeOwned>(&mut self, command: &Value) -> Result<A, CosimError> {
         let gone = |_| CosimError::Gone { command: command.to_string() };
         writeln!(self.to, "{command}").and_then(|()| self.to.flush()).map_err(gone)?;
         let mut line = String::new();

@@ -15,6 +15,7 @@ pub mod images;
 pub mod machine;
 pub mod network;
 pub mod pico;
+pub mod pins;
 pub mod qemu;
 pub mod report;
 pub mod rta;

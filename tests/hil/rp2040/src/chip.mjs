@@ -4,6 +4,7 @@ import { RAM_BYTES, XIP } from './bus.mjs';
 import { ENTRY_CYCLES } from './core.mjs';
 import { Crystal } from './crystal.mjs';
 import { Flash, FLASH_BYTES } from './flash.mjs';
+import { PinRecorder } from './gpio.mjs';
 import { Machine } from './machine.mjs';
 import { UartCounters } from './pl011.mjs';
 import { Profile } from './profile.mjs';
@@ -52,6 +53,7 @@ export class Chip {
     this.crystal = new Crystal(options.ppm ?? 0, this.bootNs);
     this.#load();
     this.machine = this.#build();
+    this.pins = new PinRecorder(this);
   }
 
   /** Places the image at its load addresses. What it does not cover keeps its content. */
@@ -243,6 +245,7 @@ export class Chip {
 
   powerOff() {
     this.isOn = false;
+    this.pins.powerOff();
   }
 
   /** RAM comes up as noise: a fixed pattern here, so that a run can be repeated. @param {number} globalNs */

@@ -1,7 +1,8 @@
 // The PWM block as a set of counters: eight slices with divisor, TOP and wrap interrupt. RP2040 datasheet 4.5.
 // In whole cycles of the system clock, so that no counter ever drifts from another. The package's own counts in
 // floating point, rounds reads to the nearest count and lets its wraps drift with a fractional divisor.
-// Not modelled: outputs (CC is kept and does nothing), phase-correct mode, PH_ADV, PH_RET, and counting by pin B.
+// Outputs are what TOP and CC say: `report` tells which values are in use and at which pins; edges of these pins are not made.
+// Not modelled: phase-correct mode, PH_ADV, PH_RET, and counting by pin B.
 import { BasePeripheral } from 'rp2040js';
 
 // Registers of a slice, then those of the block (datasheet 4.5, list of registers).
@@ -21,6 +22,8 @@ const INTS = 0xb0;
 const CSR_EN = 1 << 0;
 const CSR_PH_CORRECT = 1 << 1;
 const CSR_DIVMODE = 3 << 4;
+const CSR_INVERT_A = 1 << 2;
+const CSR_INVERT_B = 1 << 3;
 const CSR_PHASE = 3 << 6;
 const CSR_WRITABLE = 0x3f;
 /** INT at 0 divides by 256. */
@@ -28,6 +31,8 @@ const DIV_WHOLE = 256 << 4;
 
 const IRQ_WRAP = 4;
 const DREQ_WRAP0 = 24;
+/** IO_BANK0's function that leads a slice's outputs to a pin (datasheet 2.19.2). */
+const FUNCTION_PWM = 4;
 /** A whole cycle may be a hair below itself in floating point. */
 const HAIR = 1e-6;
 
@@ -39,6 +44,8 @@ class Slice {
   top = 0xffff;
   /** What the counter wraps behind: TOP as it was at the last wrap. */
   topInUse = 0xffff;
+  /** What the outputs are compared with: CC as it was at the last wrap. */
+  ccInUse = 0;
   baseNs = 0;
   baseCount = 0;
   /** The divisor's accumulator at the base, sixteenths of a cycle. */
@@ -140,6 +147,7 @@ export class Pwm extends BasePeripheral {
   /** @param {number} i */
   #wrap(i) {
     const slice = this.slices[i];
+    slice.ccInUse = slice.cc;
     if (slice.topInUse !== slice.top) {
       const n = this.#counts(slice);
       const sixteenths = n * slice.sixteenths + slice.carry;
@@ -160,6 +168,28 @@ export class Pwm extends BasePeripheral {
 
   get #status() {
     return (this.intRaw & this.intEnable) | this.intForce;
+  }
+
+  /**
+   * What each slice puts out: high for `a` of `top` + 1 counts, and what it will from its next wrap on. `pins_a` and `pins_b` are
+   * the pins that IO_BANK0 has select it.
+   */
+  report() {
+    return this.slices.map((slice, i) => {
+      const pins = (/** @type {number} */ channel) =>
+        this.rp.gpio.filter((pin) => pin.functionSelect === FUNCTION_PWM && (pin.index & 15) === 2 * i + channel);
+      const values = (/** @type {number} */ top, /** @type {number} */ cc) => ({ top, a: cc & 0xffff, b: cc >>> 16 });
+      return {
+        enabled: (slice.csr & CSR_EN) !== 0,
+        invert_a: (slice.csr & CSR_INVERT_A) !== 0,
+        invert_b: (slice.csr & CSR_INVERT_B) !== 0,
+        count_cycles: slice.sixteenths / 16,
+        ...values(slice.topInUse, slice.ccInUse),
+        next: values(slice.top, slice.cc),
+        pins_a: pins(0).map((pin) => pin.index),
+        pins_b: pins(1).map((pin) => pin.index),
+      };
+    });
   }
 
   /** @param {number} offset */
@@ -229,6 +259,8 @@ export class Pwm extends BasePeripheral {
     }
     if (register === CC) {
       slice.cc = value;
+      // Taken with the next wrap, or at once where the slice stands (datasheet 4.5.2.3).
+      if (!slice.isRunning) slice.ccInUse = slice.cc;
       return;
     }
     if (register === TOP) {

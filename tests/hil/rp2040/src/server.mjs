@@ -129,6 +129,15 @@ const COMMANDS = {
     if (field(command, 'reset', 'boolean', false)) chip.resetProfile();
     return report;
   },
+  pins(world, command) {
+    return world.chip(field(command, 'chip', 'string')).pins.watch(field(command, 'mask', 'number'));
+  },
+  edges(world, command) {
+    return world.chip(field(command, 'chip', 'string')).pins.take();
+  },
+  pwm(world, command) {
+    return { slices: world.chip(field(command, 'chip', 'string')).machine.pwm.report() };
+  },
   wires(world) {
     return world.report();
   },

@@ -113,9 +113,12 @@ test('a whole session', async () => {
     { cmd: 'run', until_ns: 2_003e6 },
     { cmd: 'time', chip: 'a' },
     { cmd: 'time', chip: 'a', local_ns: 1e9 },
+    { cmd: 'pins', chip: 'a', mask: 1 << 15 },
+    { cmd: 'edges', chip: 'a' },
+    { cmd: 'pwm', chip: 'a' },
     { cmd: 'quit' },
   ]);
-  for (const i of [0, 1, 6, 11, 13, 14, 15, 16, 18, 24]) assert.deepEqual(answers[i], { ok: true }, `answer ${i}`);
+  for (const i of [0, 1, 6, 11, 13, 14, 15, 16, 18, 27]) assert.deepEqual(answers[i], { ok: true }, `answer ${i}`);
   assert.deepEqual(answers[2], { now_ns: 1e6, events: [] });
   const bitNs = 1e9 / 750_000;
   assert.ok(Math.abs(answers[3].end_ns - 1_100_000 - 40 * bitNs) < 1e-6);
@@ -140,6 +143,8 @@ test('a whole session', async () => {
   assert.ok(Math.abs(answers[22].local_ns - (2e9 - 40_000 + 1_000)) < 1e-3);
   assert.equal(answers[22].ppm, -19);
   assert.ok(Math.abs(answers[23].global_ns - 1_003_019_750) < 1);
+  assert.deepEqual(answers.slice(24, 26), [{ high: 0, open: 1 << 15 }, { edges: [], lost: 0 }]);
+  assert.equal(answers[26].slices.length, 8);
   assert.equal(readFileSync(flash).length, 2 * 1024 * 1024);
 });
 
@@ -168,6 +173,8 @@ test('every mistake is answered, and the session goes on', async () => {
     [{ cmd: 'crystal', chip: 'a', ppm: '3' }, /"ppm" must be a number/],
     [{ cmd: 'crystal', chip: 'a', ppm: -1e6 }, /-1000000 ppm/],
     [{ cmd: 'poke', chip: 'a', address: RAM, hex: '1' }, /in pairs/],
+    [{ cmd: 'pins', chip: 'a', mask: -1 }, /"mask" is -1/],
+    [{ cmd: 'edges', chip: 'c' }, /no chip "c"/],
   ];
   const commands = [...mistakes.map(([c]) => c), chip, ...later.map(([c]) => c)];
   const answers = await session(/** @type {any} */ ([...commands, { cmd: 'run', until_ns: 1000 }]));
