@@ -5,6 +5,7 @@
 //! - **Context:** any.
 
 use crate::time::{NetTime, Span};
+use core::fmt;
 
 /// A value from `start` on. What it counts in is its track's.
 ///
@@ -44,6 +45,31 @@ pub enum LevelError {
         width: Span,
     },
 }
+
+impl fmt::Display for LevelError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NotLater { start, previous } => {
+                write!(
+                    f,
+                    "a level from {} us, but the last one is from {} us: send levels in the order of their starts",
+                    start.as_us(),
+                    previous.as_us()
+                )
+            }
+            Self::NoWidth { start, width } => {
+                write!(
+                    f,
+                    "an event at {} us of {} steps of 1/256 us has no end: give it a width and an end before time does",
+                    start.as_us(),
+                    width.steps()
+                )
+            }
+        }
+    }
+}
+
+impl core::error::Error for LevelError {}
 
 impl Level {
     /// Whether the value has begun at `at`.

@@ -26,6 +26,7 @@ mod node;
 pub use node::{NODE_BYTES, Node, NodeError, Source};
 
 use crate::widening::product_signed;
+use core::fmt;
 
 /// Most nodes, and most inputs, that a [`Source`] can name.
 pub const SOURCES_MAX: usize = 128;
@@ -63,6 +64,34 @@ pub enum GraphError {
         /// Nodes asked for.
         nodes: usize,
     },
+}
+
+impl fmt::Display for GraphError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NoSuchNode { index, nodes } => {
+                write!(f, "node {index} of a graph of {nodes}: use a lower index")
+            }
+            Self::NotEarlier { index, source } => {
+                write!(f, "node {index} reads node {source}, which is evaluated no earlier: set it further down")
+            }
+            Self::NoSuchInput { input, inputs } => {
+                write!(f, "input {input} of a graph of {inputs} inputs: use a lower one")
+            }
+            Self::Node(error) => error.fmt(f),
+            Self::TooLarge { inputs, nodes } => {
+                write!(f, "{inputs} inputs and {nodes} nodes, of which {SOURCES_MAX} each can be told apart: use fewer")
+            }
+        }
+    }
+}
+
+impl core::error::Error for GraphError {}
+
+impl From<NodeError> for GraphError {
+    fn from(error: NodeError) -> Self {
+        Self::Node(error)
+    }
 }
 
 /// What one pass reports.
@@ -118,7 +147,7 @@ impl<const N: usize> Graph<N> {
         if index >= N {
             return Err(GraphError::NoSuchNode { index, nodes: N });
         }
-        node.check().map_err(GraphError::Node)?;
+        node.check()?;
         for source in node.sources().into_iter().flatten() {
             match (source.as_input(), source.as_node()) {
                 (Some(input), _) if usize::from(input) >= self.inputs => {

@@ -10,6 +10,8 @@
 //! all 4097 phases would gain half of one in 32767 for 6 kB more. It should lie in RAM, as what runs in a beat does on an RP2040, and
 //! 2050 bytes are 0.8 % of what that has.
 
+use core::fmt;
+
 /// Base-two logarithm of the phases of an electrical turn.
 pub const PHASE_LOG2: u32 = 14;
 /// Phases of an electrical turn: four full steps of a two-phase motor.
@@ -117,6 +119,18 @@ pub enum PhaseError {
         turn_log2: u32,
     },
 }
+
+impl fmt::Display for PhaseError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::TurnLog2 { turn_log2 } => {
+                write!(f, "an electrical turn of 2^{turn_log2} LSB: use 2^2 to 2^32")
+            }
+        }
+    }
+}
+
+impl core::error::Error for PhaseError {}
 
 /// Which bits of a position are the electrical angle.
 ///

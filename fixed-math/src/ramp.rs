@@ -12,6 +12,7 @@
 
 use crate::time::NetTime;
 use crate::widening::product;
+use core::fmt;
 
 /// Longest ramp: 2^48 − 1 steps of 1/256 µs, 12 days.
 pub const RAMP_STEPS_MAX: u64 = (1 << 48) - 1;
@@ -66,6 +67,49 @@ pub enum RampError {
         end_value: i32,
     },
 }
+
+impl fmt::Display for RampError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::EndNotAfterStart { start, end } => {
+                write!(
+                    f,
+                    "a ramp from {} to {} us has no length: end it later than it starts, or send a level",
+                    start.as_us(),
+                    end.as_us()
+                )
+            }
+            Self::StartBeforePreviousEnd { start, previous_end } => {
+                write!(
+                    f,
+                    "a ramp from {} us, before the last one ends at {} us: start it there or later",
+                    start.as_us(),
+                    previous_end.as_us()
+                )
+            }
+            Self::TooLong { start, end } => {
+                write!(
+                    f,
+                    "a ramp from {} to {} us is longer than 2^40 us: send it in parts",
+                    start.as_us(),
+                    end.as_us()
+                )
+            }
+            Self::NoStart { end } => {
+                write!(f, "the first ramp, to {} us, leaves its start out: send it with one", end.as_us())
+            }
+            Self::NoStartValue { end, end_value } => {
+                write!(
+                    f,
+                    "the first ramp, to {end_value} at {} us, leaves its start value out: send it with one",
+                    end.as_us()
+                )
+            }
+        }
+    }
+}
+
+impl core::error::Error for RampError {}
 
 /// A ramp that can be read.
 ///

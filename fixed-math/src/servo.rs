@@ -17,6 +17,8 @@ mod plant;
 
 pub use plant::{Plant, PlantError, PlantTraits};
 
+use core::fmt;
+
 /// Largest magnitude of a gain's bits: 2^28. A product of it then has 27 bits, and five of them cannot overflow.
 pub const GAIN_MAX: i32 = 1 << 28;
 /// Largest torque limit, output units: 2^22.
@@ -137,6 +139,27 @@ pub enum ServoError {
         torque_limit: i32,
     },
 }
+
+impl fmt::Display for ServoError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Shift { shift } => {
+                write!(f, "a scale of 2^{shift}: use 2^{SHIFT_MAX} or less")
+            }
+            Self::Filter { filter_log2 } => {
+                write!(f, "a filter of 2^-{filter_log2}: use 2^-{FILTER_LOG2_MAX} or more")
+            }
+            Self::TorqueLimit { torque_limit } => {
+                write!(f, "a torque limit of {torque_limit}: use 1 to {TORQUE_MAX}")
+            }
+            Self::IntegralLimit { integral_limit, torque_limit } => {
+                write!(f, "an integral limit of {integral_limit}: use 0 to the torque limit, {torque_limit}")
+            }
+        }
+    }
+}
+
+impl core::error::Error for ServoError {}
 
 /// Where a motor should be, as its track's spline has it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

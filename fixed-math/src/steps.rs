@@ -12,6 +12,8 @@
 //! **Direction set-up:** a beat in which the first step of the other direction is due changes the direction alone. The step is then
 //! still due in the next beat and put out there, so the set-up time is one period of the beat.
 
+use core::fmt;
+
 /// Fewest bits of a step.
 pub const STEP_LOG2_MIN: u32 = 1;
 /// Most bits of a step.
@@ -53,14 +55,35 @@ pub enum StepsError {
         /// A step, LSB.
         step: u32,
     },
-    /// Neither a scale below 1 nor one by which a step leaves 62 bits can be compared.
+    /// A scale below 1, or one by which a step leaves 62 bits.
     Scale {
         /// What was asked for: units of a scaled position an LSB.
         scale: i64,
-        /// LSB from the base to the farthest threshold.
-        distance: i64,
+        /// A step, LSB.
+        step: u32,
     },
 }
+
+impl fmt::Display for StepsError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::StepLog2 { step_log2 } => {
+                write!(f, "a step of 2^{step_log2} LSB: use 2^{STEP_LOG2_MIN} to 2^{STEP_LOG2_MAX}")
+            }
+            Self::Hysteresis { hysteresis, step } => {
+                write!(f, "a hysteresis of {hysteresis} LSB is no less than a step of {step}: use less")
+            }
+            Self::Scale { scale, step } => {
+                write!(
+                    f,
+                    "a step of {step} LSB at {scale} units an LSB: use a scale of 1 or more at which a step has 62 bits"
+                )
+            }
+        }
+    }
+}
+
+impl core::error::Error for StepsError {}
 
 /// Checks both and gives the step in LSB.
 fn check(step_log2: u32, hysteresis: u32) -> Result<u32, StepsError> {
@@ -116,10 +139,10 @@ impl StepBits {
         })
     }
 
-    /// The hysteresis that leaves a quarter of a step between a step and its reversal, LSB.
+    /// A quarter of a step, LSB, or none where a step has no quarters: a hysteresis for most motors.
     #[must_use]
     pub const fn quarter(step_log2: u32) -> u32 {
-        if step_log2 > 2 && step_log2 <= STEP_LOG2_MAX { 1 << (step_log2 - 2) } else { 0 }
+        if step_log2 >= 2 && step_log2 <= STEP_LOG2_MAX { 1 << (step_log2 - 2) } else { 0 }
     }
 
     /// What to put out for `position`.
@@ -164,7 +187,7 @@ impl StepBits {
         self.backlog
     }
 
-    /// Steps that came late so far, each counted once; saturates.
+    /// Steps by which the motor fell behind, summed over every time that it did; saturates.
     #[must_use]
     pub const fn missed(&self) -> u32 {
         self.missed
@@ -180,16 +203,23 @@ impl StepBits {
 
 /// Steps by thresholds on a position that forward differences made: compares and additions alone, exact at every sample.
 ///
-/// The position is `(P − base) · scale`, with `scale` = 6N³ for N samples an interval.
+/// The position is `(P − base) · scale`, as [`Differences::scaled`](crate::spline::differences::Differences::scaled) has it.
 ///
 /// ```
+/// use fixed_math::spline::differences::Differences;
 /// use fixed_math::steps::StepThresholds;
 ///
-/// // 16 samples an interval, steps of 4 LSB, no hysteresis, from 0 on
-/// let scale = 6 * 16 * 16 * 16;
-/// let mut steps = StepThresholds::new(2, 0, 0, 0, scale).unwrap();
-/// assert!(!steps.update(4 * scale - 1).is_step);
-/// assert!(steps.update(4 * scale).is_step);
+/// // 16 samples an interval, a line that rises by 8 LSB an interval, steps of 4 LSB
+/// let mut spline = Differences::new([-8, 0, 8, 16], 4).unwrap();
+/// let mut steps = StepThresholds::new(2, 0, 0, spline.base(), spline.scale()).unwrap();
+/// let mut stepped_at = [false; 17];
+/// for at in 1..=16 {
+///     spline.advance().unwrap();
+///     stepped_at[at] = steps.update(spline.scaled()).is_step;
+/// }
+/// assert!((0..=16).all(|at| stepped_at[at] == (at == 8 || at == 16)));
+/// spline.knot(24).unwrap();
+/// steps.rebase(spline.base());
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StepThresholds {
@@ -200,6 +230,10 @@ pub struct StepThresholds {
     /// a step
     step: i64,
     direction: Direction,
+    at: i32,
+    step_log2: u32,
+    hysteresis: u32,
+    scale: i64,
 }
 
 impl StepThresholds {
@@ -210,55 +244,74 @@ impl StepThresholds {
     ///
     /// Any [`StepsError`].
     pub fn new(step_log2: u32, hysteresis: u32, at: i32, base: i32, scale: i64) -> Result<Self, StepsError> {
-        let step = i64::from(check(step_log2, hysteresis)?);
-        let from_base = i64::from(at) * step - i64::from(base);
-        let distance = from_base.abs() + step;
-        let refused = StepsError::Scale { scale, distance };
-        if scale < 1 || distance.checked_mul(scale).is_none_or(|farthest| farthest > i64::MAX / 2) {
-            return Err(refused);
-        }
-        Ok(Self {
-            up: (from_base + step) * scale,
-            down: (from_base - i64::from(hysteresis)) * scale,
-            step: step * scale,
-            direction: Direction::Up,
-        })
+        let step = check(step_log2, hysteresis)?;
+        let scaled = i64::from(step).checked_mul(scale).filter(|scaled| (1..=i64::MAX / 2).contains(scaled));
+        let scaled = scaled.ok_or(StepsError::Scale { scale, step })?;
+        let (up, down, direction) = (0, 0, Direction::Up);
+        let mut made = Self { up, down, step: scaled, direction, at, step_log2, hysteresis, scale };
+        made.rebase(base);
+        Ok(made)
+    }
+
+    /// Counts positions from `base` LSB from now on: at a knot, where the base changes. Not for each beat: two 64-bit products.
+    ///
+    /// A threshold that does not fit is cut to the limit of its side, which is right for every position on the other side of it. If so
+    /// many steps follow that it is passed, those to come wait until the next call, which counts from where the motor stands.
+    pub fn rebase(&mut self, base: i32) {
+        let from_base = (i64::from(self.at) << self.step_log2) - i64::from(base);
+        self.up = (from_base + (1 << self.step_log2)).saturating_mul(self.scale);
+        self.down = (from_base - i64::from(self.hysteresis)).saturating_mul(self.scale);
     }
 
     /// What to put out for `position`. After `is_behind`, beats with the same position catch up.
     #[inline]
     pub fn update(&mut self, position: i64) -> Step {
         if position >= self.up {
-            return self.go(Direction::Up, position);
+            let is_step = self.turn(Direction::Up);
+            if is_step {
+                self.at = self.at.saturating_add(1);
+                self.shift(self.step);
+            }
+            let next = if is_step { self.up } else { self.up.saturating_add(self.step) };
+            return Step { is_step, direction: Direction::Up, is_behind: position >= next };
         }
         if position < self.down {
-            return self.go(Direction::Down, position);
+            let is_step = self.turn(Direction::Down);
+            if is_step {
+                self.at = self.at.saturating_sub(1);
+                self.shift(-self.step);
+            }
+            let next = if is_step { self.down } else { self.down.saturating_sub(self.step) };
+            return Step { is_step, direction: Direction::Down, is_behind: position < next };
         }
         Step { is_step: false, direction: self.direction, is_behind: false }
     }
 
-    fn go(&mut self, direction: Direction, position: i64) -> Step {
-        let is_step = self.direction == direction;
+    /// Sets the direction; whether it was that already.
+    #[inline]
+    fn turn(&mut self, direction: Direction) -> bool {
+        let was = self.direction == direction;
         self.direction = direction;
-        let is_up = direction == Direction::Up;
-        if is_step {
-            self.shift(if is_up { self.step } else { -self.step });
-            Step { is_step, direction, is_behind: if is_up { position >= self.up } else { position < self.down } }
-        } else {
-            let is_behind = if is_up {
-                position >= self.up.saturating_add(self.step)
-            } else {
-                position < self.down.saturating_sub(self.step)
-            };
-            Step { is_step, direction, is_behind }
-        }
+        was
     }
 
-    /// Counts from another base: `units` more are then in every position, in units of the scale.
     #[inline]
-    pub fn shift(&mut self, units: i64) {
+    fn shift(&mut self, units: i64) {
         self.up = self.up.saturating_add(units);
         self.down = self.down.saturating_add(units);
+    }
+
+    /// Where the motor stands, steps.
+    #[must_use]
+    pub const fn at(&self) -> i32 {
+        self.at
+    }
+
+    /// The two lines of a quadrature output where the motor stands.
+    #[must_use]
+    #[inline]
+    pub const fn quadrature(&self) -> Quadrature {
+        Quadrature::of(self.at)
     }
 }
 

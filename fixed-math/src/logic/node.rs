@@ -13,6 +13,8 @@
 //! | 4 to 7 | x, `i32`, low byte first |
 //! | 8 to 11 | y, likewise |
 
+use core::fmt;
+
 /// Bytes of an encoded node.
 pub const NODE_BYTES: usize = 12;
 
@@ -224,6 +226,30 @@ pub enum NodeError {
         value: i32,
     },
 }
+
+impl fmt::Display for NodeError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::UnknownOperation { operation } => {
+                write!(f, "operation {operation} of a node is not known: use 0 to 15")
+            }
+            Self::EmptyWindow { low, high } => {
+                write!(f, "a window from {low} to {high} holds nothing: exchange its ends")
+            }
+            Self::NegativeHysteresis { hysteresis } => {
+                write!(f, "a hysteresis of {hysteresis}: it is a distance, 0 or more")
+            }
+            Self::ShiftTooLarge { shift } => {
+                write!(f, "a product shifted by {shift} bits: use {SHIFT_MAX} or less")
+            }
+            Self::UnusedField { operation, byte, value } => {
+                write!(f, "operation {operation} does not use byte {byte}, which holds {value}: set it to 0")
+            }
+        }
+    }
+}
+
+impl core::error::Error for NodeError {}
 
 impl Node {
     /// The node that twelve bytes describe.

@@ -9,6 +9,7 @@
 
 use crate::steps::Quadrature;
 use crate::widening::product_signed;
+use core::fmt;
 
 /// Fractional bits of position and velocity.
 const FRACTION_BITS: u32 = 16;
@@ -38,6 +39,21 @@ pub enum PlantError {
         count_log2: u8,
     },
 }
+
+impl fmt::Display for PlantError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Gain { gain } => {
+                write!(f, "a motor that a torque drives backwards by {gain}: use 0 or more")
+            }
+            Self::CountLog2 { count_log2 } => {
+                write!(f, "counts of 2^{count_log2} LSB: use 2^16 or less")
+            }
+        }
+    }
+}
+
+impl core::error::Error for PlantError {}
 
 /// A simulated motor with its encoder.
 ///
