@@ -14,7 +14,7 @@ use crate::problem::Problem;
 use crate::tree::Tree;
 
 /// Crates that build without the standard library and run on a device.
-pub const CORES: [&str; 4] = ["fixed-math", "osap-protocol", "osap-runtime", "firmware-app"];
+pub const CORES: [&str; 5] = ["fixed-math", "osap-protocol", "osap-runtime", "osap-maxl", "firmware-app"];
 
 /// The host's crate, which nothing below it may reach.
 const HOST: &str = "osap";
@@ -45,7 +45,7 @@ struct Rule {
 }
 
 /// The table. A crate that is not in it may not be in the workspace; those under `tests/` may use anything.
-const RULES: [Rule; 7] = [
+const RULES: [Rule; 8] = [
     Rule { folder: "fixed-math", name: "fixed-math", ours: May::Only(&[]), outside: May::Only(&["fixed"]) },
     Rule {
         folder: "protocol-spec",
@@ -59,10 +59,11 @@ const RULES: [Rule; 7] = [
         ours: May::Only(&["osap-protocol", "fixed-math"]),
         outside: May::Only(&["heapless", "serde", "postcard"]),
     },
+    Rule { folder: "maxl", name: "osap-maxl", ours: May::Only(&["fixed-math"]), outside: May::Only(&["heapless"]) },
     Rule {
         folder: "rtic-firmware/app",
         name: "firmware-app",
-        ours: May::Only(&["osap-runtime", "osap-protocol", "fixed-math"]),
+        ours: May::Only(&["osap-runtime", "osap-maxl", "osap-protocol", "fixed-math"]),
         outside: May::Only(&[
             "heapless",
             "sequential-storage",
@@ -74,7 +75,7 @@ const RULES: [Rule; 7] = [
     Rule {
         folder: "sim",
         name: "osap-sim",
-        ours: May::Only(&["osap-protocol", "osap-runtime", "fixed-math", "firmware-app"]),
+        ours: May::Only(&["osap-protocol", "osap-runtime", "osap-maxl", "fixed-math", "firmware-app"]),
         outside: May::Any,
     },
     Rule { folder: "host-cli", name: HOST, ours: May::Any, outside: May::Any },
@@ -82,7 +83,7 @@ const RULES: [Rule; 7] = [
 ];
 
 /// What every board may use: its interrupts hand over to the device's parts, and any crate of its vendor.
-const OF_A_BOARD: [&str; 4] = ["firmware-app", "osap-runtime", "osap-protocol", "fixed-math"];
+const OF_A_BOARD: [&str; 5] = ["firmware-app", "osap-runtime", "osap-maxl", "osap-protocol", "fixed-math"];
 
 /// Where this table stands, for the messages.
 const TABLE: &str = "`RULES` in tests/tidy/src/dependencies.rs";
@@ -270,7 +271,7 @@ mod tests {
             found,
             [
                 "`fixed-math` may not depend on `osap-protocol`: of our crates it may use none",
-                "`osap-sim` may not depend on `osap`: of our crates it may use osap-protocol, osap-runtime, fixed-math, firmware-app",
+                "`osap-sim` may not depend on `osap`: of our crates it may use osap-protocol, osap-runtime, osap-maxl, fixed-math, firmware-app",
                 "`xtask` may not depend on `osap`: of our crates it may use none",
             ]
         );
@@ -312,7 +313,7 @@ mod tests {
             ("rtic-firmware/b", "b", ""),
         ]);
         let found: Vec<_> = follow_the_table(&tree).iter().map(|problem| problem.what.clone()).collect();
-        let granted = "firmware-app, osap-runtime, osap-protocol, fixed-math";
+        let granted = "firmware-app, osap-runtime, osap-maxl, osap-protocol, fixed-math";
         assert_eq!(
             found,
             [
