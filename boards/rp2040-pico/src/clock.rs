@@ -40,9 +40,9 @@ pub struct Stamp {
 
 impl Stamp {
     /// Steps of a [`LocalTicks`] from the timer's microsecond to the instant itself, of either sign where the counters were not read at once.
-    pub(crate) const fn fraction(self) -> i64 {
+    pub(crate) const fn fraction(self) -> i32 {
         let of_timer = (self.us << COUNT_BITS).to_le_bytes()[0];
-        (self.sixteenths.wrapping_sub(of_timer).cast_signed() as i64) << (FRACTION_BITS - COUNT_BITS)
+        (self.sixteenths.wrapping_sub(of_timer).cast_signed() as i32) << (FRACTION_BITS - COUNT_BITS)
     }
 }
 
@@ -76,7 +76,7 @@ pub fn now() -> LocalTicks {
         let is_close = timer.timerawl().read().bits().wrapping_sub(us) <= 1;
         if is_close && timer.timerawh().read().bits() == high {
             let steps = (u64::from(high) << 32 | u64::from(us)) << FRACTION_BITS;
-            return LocalTicks::from_steps(steps.saturating_add_signed(Stamp { us, sixteenths }.fraction()));
+            return LocalTicks::from_steps(steps.saturating_add_signed(Stamp { us, sixteenths }.fraction().into()));
         }
     }
 }
@@ -100,7 +100,7 @@ pub fn now_us() -> u64 {
 pub fn at_stamp(stamp: Stamp, now: LocalTicks) -> LocalTicks {
     let after_us = now.as_us() + u64::from(AFTER_US);
     let us = after_us.saturating_sub(u64::from((after_us as u32).wrapping_sub(stamp.us)));
-    LocalTicks::from_steps((us << FRACTION_BITS).saturating_add_signed(stamp.fraction()))
+    LocalTicks::from_steps((us << FRACTION_BITS).saturating_add_signed(stamp.fraction().into()))
 }
 
 /// Starts timer and slice.

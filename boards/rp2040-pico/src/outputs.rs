@@ -59,13 +59,11 @@ pub(crate) fn start() -> (StepPins, PhasePins, Enable) {
         (0..32).filter(|pin| OUTPUTS >> pin & 1 == 1).for_each(|pin| connect(pin, FUNCTION_SIO));
         COIL_PINS.into_iter().flatten().for_each(|pin| connect(pin, FUNCTION_PWM));
     }
-    (StepPins { levels: 0 }, phases, Enable(()))
+    (StepPins(()), phases, Enable(()))
 }
 
 /// Steps and directions.
-pub struct StepPins {
-    levels: u32,
-}
+pub struct StepPins(());
 
 impl StepPins {
     /// All pins of this.
@@ -90,20 +88,25 @@ impl StepPins {
         Self::step(axis) << 1
     }
 
-    /// Makes the pins in `clear` low and those in `set` high, which wins; leaves the others. One store changes all: 5 cycles with it.
+    /// Makes the pins in `clear` low and those in `set` high, which wins; leaves the others. One store changes all; six cycles with it.
     #[inline]
     pub fn write(&mut self, set: u32, clear: u32) {
-        let levels = ((self.levels & !clear) | set) & Self::ALL;
+        let toggled = set ^ (outputs() & (set | clear));
         // SAFETY: of SIO's outputs these pins are the one `StepPins`'s, and no others are turned over
-        unsafe { (*pac::SIO::ptr()).gpio_out_xor().write(|w| w.bits(self.levels ^ levels)) };
-        self.levels = levels;
+        unsafe { (*pac::SIO::ptr()).gpio_out_xor().write(|w| w.bits(toggled & Self::ALL)) };
     }
 
     /// The pins that are high.
     #[must_use]
-    pub const fn levels(&self) -> u32 {
-        self.levels
+    pub fn levels(&self) -> u32 {
+        outputs() & Self::ALL
     }
+}
+
+/// What SIO drives.
+fn outputs() -> u32 {
+    // SAFETY: the block is there for good, and reading its outputs changes nothing
+    unsafe { (*pac::SIO::ptr()).gpio_out().read().bits() }
 }
 
 /// The drivers' enable, for all axes and coils.
@@ -149,9 +152,11 @@ impl PhasePins {
     /// coils with the same wrap, unless one falls between the two stores.
     #[inline]
     pub fn write(&mut self, currents: [i16; COILS]) {
-        for (slice, current) in COIL_SLICES.into_iter().zip(currents) {
-            // SAFETY: CC takes any word
-            registers().ch(slice).cc().write(|w| unsafe { w.bits(compare(current)) });
+        let [a, b] = currents;
+        // SAFETY: CC takes any word
+        unsafe {
+            registers().ch(COIL_SLICES[0]).cc().write(|w| w.bits(compare(a)));
+            registers().ch(COIL_SLICES[1]).cc().write(|w| w.bits(compare(b)));
         }
     }
 }

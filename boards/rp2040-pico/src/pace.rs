@@ -19,7 +19,8 @@ const _: () = assert!(2 * PERIODS_US[0] * CYCLES_A_US <= 1 << 16, "the slice has
 
 /// The PWM's slice that beats.
 const SLICE: usize = 0;
-/// Cycles from the reading of a stamp's sixteenths to that of the count: one load from a peripheral.
+/// Cycles from the reading of a stamp's sixteenths to that of the count: one load from a peripheral. The compiler may put another
+/// instruction in between, of two cycles, a quarter of a sixteenth.
 const STAMP_TO_COUNT_CYCLES: u32 = 4;
 
 /// The beat. It stands still until it is started.
@@ -63,7 +64,7 @@ impl Pace {
     /// Makes the next period, which begins with the next wrap, and those after it `cycles` long; the one under way stays as it is. Taken to
     /// within half and twice the nominal period; gives back what it is.
     pub fn set_period(&mut self, cycles: u32) -> u32 {
-        let cycles = cycles.clamp(self.nominal_cycles / 2, 2 * self.nominal_cycles);
+        let cycles = cycles.max(self.nominal_cycles / 2).min(2 * self.nominal_cycles);
         // SAFETY: TOP takes 16 bits, which twice the longest period has; the hardware takes it with the wrap
         registers().ch(SLICE).top().write(|w| unsafe { w.bits(cycles - 1) });
         cycles
@@ -77,7 +78,7 @@ impl Pace {
     }
 
     /// When the last wrap was, by the same clock as the stamps of frames: to a sixteenth of a microsecond, rounded down, and never earlier
-    /// than the call before. To be called at least once in 71 minutes. Some 60 cycles.
+    /// than the call before. To be called at least once in 71 minutes. Some 75 cycles.
     pub fn wrap_stamp(&mut self) -> LocalTicks {
         let (stamp, since) = (clock::stamp(), self.cycles_since_wrap());
         let (us, wrap) = wrap_instant(self.last_us, stamp, since);
@@ -97,9 +98,9 @@ impl Pace {
 /// the wrap a moment after it.
 fn wrap_instant(last_us: u64, stamp: Stamp, since_cycles: u32) -> (u64, LocalTicks) {
     let us = last_us + u64::from(stamp.us.wrapping_sub(last_us as u32));
-    let since_stamp = steps(STAMP_TO_COUNT_CYCLES).cast_signed() - steps(since_cycles).cast_signed();
-    let at = (us << FRACTION_BITS).saturating_add_signed(stamp.fraction() + i64::from(since_stamp));
-    (us, LocalTicks::from_steps(at))
+    let since_stamp = stamp.fraction() + steps(STAMP_TO_COUNT_CYCLES).cast_signed() - steps(since_cycles).cast_signed();
+    // a beat is later than the start, so that this does not go below it
+    (us, LocalTicks::from_steps((us << FRACTION_BITS).wrapping_add_signed(since_stamp.into())))
 }
 
 /// Steps of a [`LocalTicks`] that `cycles` take, 256/125 each, up to 2^16 of them: less than a step off, without a division.
