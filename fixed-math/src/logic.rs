@@ -3,7 +3,7 @@
 //! - **Walk:** the values of tracks at a beat → [`Graph::evaluate`], one pass → a pin, a trigger, another track's gain.
 //! - **Invariants:** a node reads inputs and nodes before it, and nothing else, so one pass in order settles all of them. A node that
 //!   does not is refused when it is set; what overflows saturates and is counted in what is returned.
-//! - **Context:** evaluating is for a beat: O(N), about 20 to 45 cycles of a Cortex-M0+ a node, no division, no recursion.
+//! - **Context:** evaluating is for a beat: O(N), on a Cortex-M0+ about 60 to 100 cycles a node and 210 a product, no division, no recursion.
 //!
 //! **Truth:** every signal is an `i32`; it is true where it is not 0. What compares, combines truths or finds edges gives 1 or 0.
 //!
@@ -254,8 +254,17 @@ fn saturated(value: Option<i32>, is_negative: bool) -> (i32, bool, bool) {
 }
 
 /// `a · b / 2^shift` to the nearest, halves up; `None` where it does not fit.
+#[inline]
 fn scaled_product(a: i32, b: i32, shift: u8) -> Option<i32> {
     // 2^62 and a half of 2^31: no overflow
-    let half = if shift == 0 { 0 } else { 1i64 << (shift - 1) };
-    i32::try_from((product_signed(a, b) + half) >> shift).ok()
+    let half = if shift == 0 { 0 } else { 1u32 << (shift - 1) };
+    let product = product_signed(a, b) + i64::from(half);
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "the two halves, as shifts of 64 bits are slow where there is no instruction"
+    )]
+    let (high, low) = ((product >> 32) as i32, product as u32);
+    let value = if shift == 0 { low } else { (high.cast_unsigned() << (32 - shift)) | (low >> shift) }.cast_signed();
+    // what is above has to be its sign
+    (high >> shift == value >> 31).then_some(value)
 }

@@ -3,12 +3,12 @@
 //! - **Walk:** a position at a beat → [`PhaseWindow::phase`] → [`Coils::at`] → two pairs of PWM levels.
 //! - **Invariants:** the angle follows from the position by two shifts, so nothing accumulates and positions that wrap do no harm. Sines
 //!   are within 1.02 of 32767 times the exact ones.
-//! - **Context:** a beat; about 9 cycles of a Cortex-M0+ for the angle and 50 for both currents.
+//! - **Context:** a beat; in line about 8 cycles of a Cortex-M0+ for the angle and 75 for both currents.
 //!
-//! **The table** holds a quarter of a wave: 1025 values of 16 bits for the 4096 phases of a quarter, with a straight line over each four.
+//! **The table** holds a quarter of a wave: 1025 values of 16 bits and a spare one for the 4096 phases of a quarter, with a straight line over each four.
 //! A chord of a 4096th of a turn leaves the sine by `(2π/4096)²/8`, 0.0097 of 32767, far less than the rounding of the table, so a table of
 //! all 4097 phases would gain half of one in 32767 for 6 kB more. It should lie in RAM, as what runs in a beat does on an RP2040, and
-//! 2050 bytes are 0.8 % of what that has.
+//! 2052 bytes are 0.8 % of what that has.
 
 use core::fmt;
 
@@ -21,17 +21,21 @@ pub const SINE_ONE: i32 = 32_767;
 
 /// Phases between two values of the table.
 const STRIDE_LOG2: u32 = 2;
-/// Values of the table: a quarter and its end.
-const TABLE_LEN: usize = 1 + (1 << (PHASE_LOG2 - 2 - STRIDE_LOG2));
+/// Phases of a quarter of a turn.
+const QUARTER_TURN: u32 = PHASES / 4;
+/// Lines of the table.
+const LINES: usize = (QUARTER_TURN >> STRIDE_LOG2) as usize;
+/// Its values: a quarter, its end, and one that is read and taken no part of there.
+const TABLE_LEN: usize = LINES + 2;
 
 static QUARTER: [i16; TABLE_LEN] = quarter();
 
 /// π/2 in 2^−60.
 const HALF_PI_Q60: i128 = 1_811_004_864_519_280_711;
 
-/// sin of `index` in `TABLE_LEN − 1` parts of a quarter, of 32767, to the nearest.
+/// sin of `index` in [`LINES`] parts of a quarter, of 32767, to the nearest.
 const fn sine_of(index: usize) -> i16 {
-    let x = HALF_PI_Q60 * index as i128 / (TABLE_LEN as i128 - 1);
+    let x = HALF_PI_Q60 * index as i128 / LINES as i128;
     let x2 = (x * x) >> 60;
     // x − x³/3! + x⁵/5! …: the 25th power over 25! is below 2^−60 where x ≤ π/2
     let (mut term, mut sum, mut power) = (x, x, 1);
@@ -84,30 +88,28 @@ impl Phase {
     #[must_use]
     #[inline]
     pub const fn quarter_ahead(self) -> Self {
-        self.plus(Self::new(PHASES / 4))
+        self.plus(Self::new(QUARTER_TURN))
     }
 
-    /// Sine, −32767 to 32767.
+    /// Cosine and sine, −32767 to 32767.
     #[must_use]
     #[inline]
-    pub fn sine(self) -> i32 {
+    pub fn cosine_sine(self) -> (i32, i32) {
         let phase = self.get();
-        let within = phase & (PHASES / 4 - 1);
-        // the second and fourth quarter run backwards
-        let within = if phase & (PHASES / 4) == 0 { within } else { PHASES / 4 - within };
-        let (index, part) = ((within >> STRIDE_LOG2) as usize, within & ((1 << STRIDE_LOG2) - 1));
-        let low = i32::from(QUARTER[index]);
-        let high = i32::from(QUARTER[(index + 1).min(TABLE_LEN - 1)]);
-        let magnitude = low + (((high - low) * part.cast_signed() + (1 << (STRIDE_LOG2 - 1))) >> STRIDE_LOG2);
-        if phase & (PHASES / 2) == 0 { magnitude } else { -magnitude }
+        let within = phase & (QUARTER_TURN - 1);
+        let (rising, falling) = (first_quarter(within), first_quarter(QUARTER_TURN - within));
+        // a quarter further the sine is what the cosine was, and the cosine the sine's negative
+        let (cosine, sine) = if phase & QUARTER_TURN == 0 { (falling, rising) } else { (-rising, falling) };
+        if phase & (2 * QUARTER_TURN) == 0 { (cosine, sine) } else { (-cosine, -sine) }
     }
+}
 
-    /// Cosine, likewise.
-    #[must_use]
-    #[inline]
-    pub fn cosine(self) -> i32 {
-        self.quarter_ahead().sine()
-    }
+/// The sine of up to a quarter of a turn, `within` ≤ 4096.
+#[inline]
+fn first_quarter(within: u32) -> i32 {
+    let (index, part) = ((within >> STRIDE_LOG2) as usize, within & ((1 << STRIDE_LOG2) - 1));
+    let (low, high) = (i32::from(QUARTER[index]), i32::from(QUARTER[index + 1]));
+    low + (((high - low) * part.cast_signed() + (1 << (STRIDE_LOG2 - 1))) >> STRIDE_LOG2)
 }
 
 /// Why a window was not set up.
@@ -193,7 +195,8 @@ impl Coils {
     #[must_use]
     #[inline]
     pub fn at(phase: Phase, amplitude: u16) -> Self {
-        Self { a: scaled(phase.cosine(), amplitude), b: scaled(phase.sine(), amplitude) }
+        let (cosine, sine) = phase.cosine_sine();
+        Self { a: scaled(cosine, amplitude), b: scaled(sine, amplitude) }
     }
 
     /// Currents that turn a rotor that stands at `phase` with `torque`, −32768 to 32767 in 2^−15 of full scale, beyond that cut.

@@ -2,9 +2,10 @@
 //!
 //! - **Walk:** a ramp as it was sent ([`Ramp`]) → [`RampSegment::following`] or [`RampSegment::new`], once → [`RampSegment::value`] at
 //!   each beat.
-//! - **Invariants:** within 0.502 LSB of the exact line at any instant, monotone, exact at both ends, and never outside of them. The
+//! - **Invariants:** within 0.501 LSB of the exact line at any instant, monotone, exact at both ends, and never outside of them. The
 //!   division is done once, at making.
-//! - **Context:** making takes about 1,300 cycles of a Cortex-M0+ and is for a task that may be interrupted; reading is for a beat.
+//! - **Context:** making takes about 1,800 cycles of a Cortex-M0+ and is for a task that may be interrupted; reading takes about 120 and is for a
+//!   beat.
 //!
 //! The elapsed time is scaled to the 32 bits of its ramp's length, so that a microsecond and a week are read alike:
 //! `T' = T·2^n` (or `T/2^s`, its low bits kept aside) lies in 2^31 ≤ T' < 2^32, and the slope is `|Δ|·2^47/T'`, rounded once, 48 bits.

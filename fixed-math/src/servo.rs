@@ -3,7 +3,7 @@
 //! - **Walk:** a set point of the spline and a measured position at a beat → [`Servo::update`] → a torque → coil currents.
 //! - **Invariants:** no input overflows anything: errors and rates are cut to 16 bits, gains to [`GAIN_MAX`], and both are told. The
 //!   integral is exact until it is read, stays within its limit, and stops where it would push an output on that is cut already.
-//! - **Context:** a beat of up to 15.625 kHz; about 150 cycles of a Cortex-M0+, no division, no 64-bit product. Gains and the torque
+//! - **Context:** a beat of up to 15.625 kHz; about 270 cycles of a Cortex-M0+, no division, no 64-bit product. Gains and the torque
 //!   feed-forward may be other tracks' values of the same beat.
 //!
 //! With e the position's error, v̂ the measured velocity through a filter, all in the units of [`Scales`]:
@@ -19,11 +19,11 @@ pub use plant::{Plant, PlantError, PlantTraits};
 
 use core::fmt;
 
-/// Largest magnitude of a gain's bits: 2^28. A product of it then has 27 bits, and five of them cannot overflow.
+/// Largest magnitude of a gain's bits: 2^28. A product of it then has 27 bits, and four of them do not overflow.
 pub const GAIN_MAX: i32 = 1 << 28;
 /// Largest torque limit, output units: 2^22.
 pub const TORQUE_MAX: i32 = 1 << 22;
-/// Largest magnitude of an error, a rate or a feed-forward input after its shift.
+/// Largest of an error, a rate or a feed-forward input after its shift; the least is one less than its negative.
 pub const INPUT_MAX: i32 = 32_767;
 /// Largest shift of a scale.
 pub const SHIFT_MAX: u8 = 16;
@@ -32,7 +32,7 @@ pub const FILTER_LOG2_MAX: u8 = 6;
 
 /// Fractional bits of the filtered velocity.
 const RATE_FRACTION_BITS: u32 = 12;
-/// Largest measured velocity before the filter, LSB a beat.
+/// Largest measured velocity before the filter, LSB a beat; the least is one less than its negative.
 const RATE_MAX: i32 = (1 << 18) - 1;
 /// Fractional bits of the integral, in output units.
 const INTEGRAL_FRACTION_BITS: u32 = 8;
@@ -67,7 +67,7 @@ impl Gain {
     /// Times `x` of no more than 16 bits and its sign, in 2^−16, to the nearest, halves up.
     #[inline]
     const fn times(self, x: i32) -> i32 {
-        // 65535 · 32767 + 2^15 is below 2^31
+        // ±65535 · 32768 + 2^15 is within ±2^31
         (self.0 >> 16) * x + (((self.0 & 0xffff) * x + (1 << 15)) >> 16)
     }
 }
@@ -242,35 +242,53 @@ impl Servo {
         self.integral >> INTEGRAL_FRACTION_BITS
     }
 
-    /// The torque for this beat. `measured` is in LSB and may wrap; `feed_forward` is in output units.
+    /// The torque for this beat. `measured` is in LSB; positions are on a circle of 2^32 LSB, so it may wrap where the set point does.
+    /// `feed_forward` is in output units.
     #[inline]
     pub fn update(&mut self, set: &SetPoint, measured: i32, gains: &Gains, feed_forward: i32) -> Drive {
-        let scales = &self.traits.scales;
-        let error = cut(set.position.saturating_sub(measured) >> scales.error, INPUT_MAX);
-        let velocity = cut(set.velocity >> scales.velocity, INPUT_MAX);
-        let acceleration = cut(set.acceleration >> scales.acceleration, INPUT_MAX);
-        let moved = cut(measured.wrapping_sub(self.measured), RATE_MAX);
-        self.measured = measured;
-        // 30 bits less 30 bits
-        self.rate += ((moved.0 << RATE_FRACTION_BITS) - self.rate) >> self.traits.filter_log2;
-        let rate = cut(self.rate >> scales.rate, INPUT_MAX);
+        let scales = self.traits.scales;
+        let (rate, is_fast) = self.filtered(measured);
+        let mut rate = rate >> scales.rate;
+        let mut error = set.position.wrapping_sub(measured) >> scales.error;
+        let mut velocity = set.velocity >> scales.velocity;
+        let mut acceleration = set.acceleration >> scales.acceleration;
+        // one test for all four, which nearly always pass it
+        let is_wide = (magnitude(error) | magnitude(velocity) | magnitude(acceleration) | magnitude(rate)) > INPUT_MAX;
+        if is_wide {
+            (error, rate) = (cut_input(error), cut_input(rate));
+            (velocity, acceleration) = (cut_input(velocity), cut_input(acceleration));
+        }
         // four of 27 bits, one of 22
-        let sum = gains.proportional.times(error.0) - gains.derivative.times(rate.0)
-            + gains.velocity.times(velocity.0)
-            + gains.acceleration.times(acceleration.0)
+        let sum = gains.proportional.times(error) - gains.derivative.times(rate)
+            + gains.velocity.times(velocity)
+            + gains.acceleration.times(acceleration)
             + self.integral();
         let (torque, is_saturated) = cut(sum.saturating_add(feed_forward), self.traits.torque_limit);
         // an output that is cut already is not pushed on
-        if !is_saturated || (error.0 ^ torque) < 0 {
-            self.integrate(gains.integral, error.0);
+        if !is_saturated || (error ^ torque) < 0 {
+            self.integrate(gains.integral, error);
         }
-        Drive { torque, is_saturated, is_input_cut: error.1 | velocity.1 | acceleration.1 | moved.1 | rate.1 }
+        Drive { torque, is_saturated, is_input_cut: is_wide | is_fast }
+    }
+
+    /// The measured velocity, LSB a beat in 2^−12, and whether it was cut before the filter.
+    #[inline]
+    fn filtered(&mut self, measured: i32) -> (i32, bool) {
+        let mut moved = measured.wrapping_sub(self.measured);
+        self.measured = measured;
+        let is_fast = magnitude(moved) > RATE_MAX;
+        if is_fast {
+            moved = RATE_MAX ^ (moved >> 31);
+        }
+        // 30 bits and a sign less as many
+        self.rate += ((moved << RATE_FRACTION_BITS) - self.rate) >> self.traits.filter_log2;
+        (self.rate, is_fast)
     }
 
     /// Adds `gain · error` with all of its bits.
     #[inline]
     fn integrate(&mut self, gain: Gain, error: i32) {
-        // in 2^−24 output units: below 65535 · 32768, so the sum of the fractions needs one bit more than 16
+        // in 2^−24 output units, within ±65535 · 32768; the sum of the fractions needs one bit more than 16
         let low = (gain.0 & 0xffff) * error;
         let fraction = self.integral_fraction + (low & 0xffff);
         self.integral_fraction = fraction & 0xffff;
@@ -281,6 +299,19 @@ impl Servo {
             self.integral_fraction = 0;
         }
     }
+}
+
+/// That of `value`, less one where it is negative: what its bits are compared by.
+#[inline]
+const fn magnitude(value: i32) -> i32 {
+    value ^ (value >> 31)
+}
+
+/// `value` in 16 bits, its sign among them.
+#[cold]
+const fn cut_input(value: i32) -> i32 {
+    // the limit, or its complement
+    if magnitude(value) > INPUT_MAX { INPUT_MAX ^ (value >> 31) } else { value }
 }
 
 /// `value` within ± `limit`, and whether it had to be cut.

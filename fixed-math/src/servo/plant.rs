@@ -3,7 +3,7 @@
 //! - **Walk:** a torque at a beat → [`Plant::update`] → counts of an encoder, as a timer in encoder mode would have them.
 //! - **Invariants:** deterministic, the same on every machine to the bit; what division would leave is carried, so friction has no dead
 //!   zone and torque is lost nowhere. A speed that does not fit is cut and told.
-//! - **Context:** any; about 110 cycles of a Cortex-M0+. A simulation: it shows a loop's function, not what a motor does.
+//! - **Context:** any; about 110 cycles of a Cortex-M0+ in line. A simulation: it shows a loop's function, not what a motor does.
 //!
 //! Each beat: `v += torque·gain − v·friction`, then `x += v`.
 
