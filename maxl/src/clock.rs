@@ -63,6 +63,7 @@ pub enum HaltError {
 /// A stop or a resume from its epoch on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Turn {
+    warp: Warp,
     is_stop: bool,
     /// System time.
     epoch: NetTime,
@@ -72,23 +73,28 @@ struct Turn {
 
 impl Turn {
     /// Track time of a clock that has always run.
-    const NONE: Self = Self { is_stop: false, epoch: NetTime::ZERO, track: NetTime::ZERO };
+    const NONE: Self = Self { warp: Warp::SHORTEST, is_stop: false, epoch: NetTime::ZERO, track: NetTime::ZERO };
 
-    fn at(&self, warp: &Warp, system: NetTime) -> TrackTime {
+    fn at(&self, system: NetTime) -> TrackTime {
         let since = system.since(self.epoch);
         if *self == Self::NONE {
             return TrackTime { time: system, rate: RATE_ONE };
         }
         let (passed, rate) = if self.is_stop {
-            (warp.stopped(since), warp.stop_rate(since))
+            (self.warp.stopped(since), self.warp.stop_rate(since))
         } else {
-            (warp.resumed(since), warp.resume_rate(since))
+            (self.warp.resumed(since), self.warp.resume_rate(since))
         };
         TrackTime { time: self.track + passed, rate }
     }
 
-    fn state(&self, warp: &Warp, system: NetTime) -> MotionState {
-        let is_over = *self == Self::NONE || system >= self.epoch + warp.duration();
+    /// When it is through.
+    fn end(&self) -> NetTime {
+        if *self == Self::NONE { NetTime::ZERO } else { self.epoch + self.warp.duration() }
+    }
+
+    fn state(&self, system: NetTime) -> MotionState {
+        let is_over = system >= self.end();
         match (self.is_stop, is_over) {
             (true, false) => MotionState::Stopping,
             (true, true) => MotionState::Stopped,
@@ -101,6 +107,7 @@ impl Turn {
 /// From the task: a stop or a resume.
 #[derive(Clone, Copy, Debug)]
 struct Request {
+    warp: Warp,
     is_stop: bool,
     epoch: NetTime,
 }
@@ -119,7 +126,7 @@ impl ClockRings {
         Self { requests: Queue::new(), turns: Queue::new() }
     }
 
-    /// The half of the task and the half of the interrupt; every stop takes as long as `warp` says.
+    /// The half of the task and the half of the interrupt; stops take as long as `warp` says, until [`MotionClock::set_warp`].
     pub fn split(&mut self, warp: Warp) -> (MotionClock<'_>, BeatClock<'_>) {
         let (requests_in, requests_out) = self.requests.split();
         let (turns_in, turns_out) = self.turns.split();
@@ -133,7 +140,6 @@ impl ClockRings {
             sequence: None,
         };
         let beat = BeatClock {
-            warp,
             requests: requests_out,
             turns: turns_in,
             turn: Turn::NONE,
@@ -152,6 +158,7 @@ impl Default for ClockRings {
 
 /// The task's half.
 pub struct MotionClock<'a> {
+    /// Of stops to come; a resume is as its stop was.
     warp: Warp,
     requests: Producer<'a, Request>,
     turns: Consumer<'a, Turn>,
@@ -179,8 +186,7 @@ impl MotionClock<'_> {
             return Ok(());
         }
         // a resume goes to its end before
-        let over = self.newest();
-        let over = if over == Turn::NONE { NetTime::ZERO } else { over.epoch + self.warp.duration() };
+        let over = self.newest().end();
         self.ask(sequence, true, epoch.max(now).max(over))
     }
 
@@ -198,7 +204,7 @@ impl MotionClock<'_> {
             return Err(HaltError::NotStopped);
         }
         let epoch = epoch.max(now);
-        let until = newest.epoch + self.warp.duration();
+        let until = newest.end();
         if epoch < until {
             return Err(HaltError::StillStopping { until });
         }
@@ -223,7 +229,7 @@ impl MotionClock<'_> {
     pub fn track_time(&self, system: NetTime) -> TrackTime {
         let played = self.asked.iter().chain(self.kept.iter().rev());
         let turn = played.into_iter().find(|turn| turn.epoch <= system);
-        turn.unwrap_or(&self.oldest).at(&self.warp, system)
+        turn.unwrap_or(&self.oldest).at(system)
     }
 
     /// What track time does at `system`.
@@ -231,10 +237,15 @@ impl MotionClock<'_> {
     pub fn state(&self, system: NetTime) -> MotionState {
         let played = self.asked.iter().chain(self.kept.iter().rev());
         let turn = played.into_iter().find(|turn| turn.epoch <= system);
-        turn.unwrap_or(&self.oldest).state(&self.warp, system)
+        turn.unwrap_or(&self.oldest).state(system)
     }
 
-    /// How stops take their time.
+    /// From now on stops take as long as `warp` says. For the task to decide when: axes that are armed have the reserve of the former.
+    pub const fn set_warp(&mut self, warp: Warp) {
+        self.warp = warp;
+    }
+
+    /// How stops to come take their time.
     #[must_use]
     pub const fn warp(&self) -> &Warp {
         &self.warp
@@ -257,9 +268,11 @@ impl MotionClock<'_> {
             return Err(HaltError::Busy);
         }
         let epoch = on_grid(epoch);
-        let track = self.newest().at(&self.warp, epoch).time;
-        self.requests.enqueue(Request { is_stop, epoch }).map_err(|_| HaltError::Busy)?;
-        self.asked = Some(Turn { is_stop, epoch, track });
+        let newest = self.newest();
+        let warp = if is_stop { self.warp } else { newest.warp };
+        let track = newest.at(epoch).time;
+        self.requests.enqueue(Request { warp, is_stop, epoch }).map_err(|_| HaltError::Busy)?;
+        self.asked = Some(Turn { warp, is_stop, epoch, track });
         self.sequence = Some(sequence);
         Ok(())
     }
@@ -267,7 +280,6 @@ impl MotionClock<'_> {
 
 /// The interrupt's half.
 pub struct BeatClock<'a> {
-    warp: Warp,
     requests: Consumer<'a, Request>,
     turns: Producer<'a, Turn>,
     turn: Turn,
@@ -286,8 +298,8 @@ impl BeatClock<'_> {
         {
             // what has been played cannot be warped any more
             let epoch = on_grid(request.epoch.max(self.last));
-            let track = self.turn.at(&self.warp, epoch).time;
-            let turn = Turn { is_stop: request.is_stop, epoch, track };
+            let track = self.turn.at(epoch).time;
+            let turn = Turn { warp: request.warp, is_stop: request.is_stop, epoch, track };
             self.next = Some(turn);
             let _room = self.turns.enqueue(turn);
         }
@@ -295,13 +307,13 @@ impl BeatClock<'_> {
         if let Some(next) = self.next.take_if(|next| next.epoch <= system) {
             self.turn = next;
         }
-        self.turn.at(&self.warp, system)
+        self.turn.at(system)
     }
 
     /// What track time did at the last beat.
     #[must_use]
     pub fn state(&self) -> MotionState {
-        self.turn.state(&self.warp, self.last)
+        self.turn.state(self.last)
     }
 }
 

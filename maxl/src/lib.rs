@@ -9,15 +9,26 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+#[cfg(test)]
+extern crate std;
+
 pub mod axis;
+pub mod beat;
 pub mod clock;
 pub mod feeder;
 pub mod player;
+pub mod tracks;
+pub mod triggers;
+pub mod watch;
 
 mod history;
 mod ring;
 
 pub use axis::{ArmError, AxisConfig, AxisRings, ConfigError, Fault, Point, StarvedCause, StarvedPolicy};
+pub use beat::{Beat, BeatLock};
 pub use clock::{BeatClock, ClockRings, HaltError, MotionClock, MotionState, TrackTime};
 pub use feeder::{Accepted, Feeder, FeederCounters, FeederState, Motion, Refusal};
 pub use player::{Output, Player, PlayerState};
+pub use tracks::{LevelTrack, RampTrack, TrackCounters, TrackRefusal};
+pub use triggers::{Edge, Reading, ReadingRing, ReadingsIn, ReadingsOut, Trigger};
+pub use watch::{ClockFault, ClockGuard, ClockHealth, Watchdog};
