@@ -50,6 +50,9 @@ pub struct WarpTooShort {
 }
 
 impl Warp {
+    /// The shortest there is.
+    pub const SHORTEST: Self = Self { third_log2: WARP_LOG2_MIN + STEPS_LOG2 };
+
     /// A stop of 3·2^`log2` µs; `None` outside [`WARP_LOG2_MIN`]..=[`WARP_LOG2_MAX`].
     #[must_use]
     pub const fn new(log2: u32) -> Option<Self> {
