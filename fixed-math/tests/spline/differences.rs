@@ -1,7 +1,7 @@
 //! `Differences`: every sample of every interval equals the exact numerator, over many knots and for all numbers of samples.
 
 use crate::exact::{self, REACH};
-use fixed_math::spline::differences::{Differences, KnotDue, Refusal, SAMPLES_LOG2_MAX, scale};
+use fixed_math::spline::differences::{Differences, KnotDue, Refusal, SAMPLES_LOG2_MAX, scale, second_difference_max};
 use fixed_math::spline::{IntervalLog2, Segment, TooFar};
 use proptest::prelude::*;
 
@@ -25,20 +25,23 @@ fn check(differences: &Differences, points: [i32; 4], t: u32, m: u32) -> Result<
     }
 }
 
+fn four(points: &[i32], i: usize) -> [i32; 4] {
+    [points[i], points[i + 1], points[i + 2], points[i + 3]]
+}
+
 /// Plays `points` at 2^m samples an interval, checking every sample.
 fn play(points: &[i32], m: u32) -> Result<(), String> {
-    let four = |i: usize| [points[i], points[i + 1], points[i + 2], points[i + 3]];
-    let mut differences = Differences::new(four(0), m).map_err(|e| e.to_string())?;
+    let mut differences = Differences::new(four(points, 0), m).map_err(|e| e.to_string())?;
     for i in 0..points.len() - 3 {
         if i > 0 {
             differences.knot(points[i + 3]).map_err(|e| e.to_string())?;
             // what was carried over the knot is what would have been made afresh
-            assert_eq!(differences, Differences::new(four(i), m).map_err(|e| e.to_string())?);
+            assert_eq!(differences, Differences::new(four(points, i), m).map_err(|e| e.to_string())?);
         }
-        check(&differences, four(i), 0, m)?;
+        check(&differences, four(points, i), 0, m)?;
         for t in 1..=1 << m {
             differences.advance().map_err(|e| e.to_string())?;
-            check(&differences, four(i), t, m)?;
+            check(&differences, four(points, i), t, m)?;
         }
     }
     Ok(())
@@ -49,28 +52,31 @@ proptest! {
 
     /// Twenty-four knots over the full range, for every m.
     #[test]
-    fn every_sample_is_exact(points in exact::points::<27>()) {
+    fn every_sample_is_exact((start, slope, turns) in exact::walks(26)) {
         for m in 0..=SAMPLES_LOG2_MAX {
+            let points = exact::walk(start, slope, &turns, second_difference_max(m));
             play(&points, m).map_err(|e| TestCaseError::fail(format!("m = {m}: {e}")))?;
         }
     }
 
     /// Against the crate's reference at the whole µs that it knows: equal, since both round the same number alike.
     #[test]
-    fn the_reference_says_the_same(points in exact::points::<4>(), log2 in 8u32..=14, m in 0..=SAMPLES_LOG2_MAX) {
+    fn the_reference_says_the_same((start, slope, turns) in exact::walks(3), log2 in 8u32..=14, m in 0..=SAMPLES_LOG2_MAX) {
         let m = m.min(log2);
         let interval = IntervalLog2::new(log2).unwrap();
+        let points = four(&exact::walk(start, slope, &turns, second_difference_max(m)), 0);
         let mut differences = Differences::new(points, m).unwrap();
         for t in 1..=1u32 << m {
             differences.advance().unwrap();
-            prop_assert_eq!(differences.position(), Segment::new(points, interval).sample(t << (log2 - m)).position);
+        prop_assert_eq!(differences.position(), Segment::new(points, interval).sample(t << (log2 - m)).position);
         }
     }
 
     /// A block is as many steps, gives each of them, and stops before the knot.
     #[test]
-    fn a_block_is_so_many_steps(points in exact::points::<4>(), m in 0u32..=6) {
-        let mut by_block = Differences::new(points, m).unwrap();
+    fn a_block_is_so_many_steps((start, slope, turns) in exact::walks(3), m in 0u32..=6) {
+        let points = exact::walk(start, slope, &turns, second_difference_max(m));
+        let mut by_block = Differences::new(four(&points, 0), m).unwrap();
         let mut by_step = by_block;
         loop {
             let before = by_block;
@@ -108,15 +114,42 @@ fn exhaustive_at_small_widths() {
     }
 }
 
-/// The widest values at the most samples: all signs of the largest differences, through all knots that they form, with overflow checked.
+/// The widest values: all signs of the largest second differences, through all knots that they form, at both ends of the slopes, with overflow
+/// checked. Where the slope has no room the walk clamps.
 #[test]
 fn the_corners_fit() {
-    for signs in 0..64 {
-        let mut points = [0i32; 7];
-        for i in 0..6 {
-            points[i + 1] = points[i] + if signs >> i & 1 == 0 { REACH } else { -REACH };
+    for m in 0..=SAMPLES_LOG2_MAX {
+        for signs in 0..32 {
+            let turns: Vec<i32> = (0..6).map(|i| if signs >> i & 1 == 0 { 65_536 } else { -65_536 }).collect();
+            for slope in [0, REACH, -REACH, REACH - second_difference_max(m).min(2 * REACH)] {
+                play(&exact::walk(0, slope, &turns, second_difference_max(m)), m).unwrap();
+            }
         }
-        play(&points, SAMPLES_LOG2_MAX).unwrap();
+    }
+}
+
+/// The bound of second differences is where it says for each m: itself is played, one more is refused; and where 32 bits would hold it is not
+/// refused needlessly: 6·bound·(N + 2) is less than one bound's step below 2^31.
+#[test]
+fn the_bound_of_second_differences_is_tight() {
+    for m in 0..=SAMPLES_LOG2_MAX {
+        let bound = second_difference_max(m);
+        let worst = |bound: i32| 6 * i64::from(bound) * ((1 << m) + 2);
+        assert!(worst(bound) < 1 << 31);
+        if m < 2 {
+            assert_eq!(bound, 2 * REACH, "neighbours that are close enough are never too curved");
+            continue;
+        }
+        assert!(worst(bound + 1) >= 1 << 31);
+        for sign in [1, -1] {
+            let slope = -sign * bound / 2;
+            let with = |second: i32| [0, slope, 2 * slope + sign * second, 3 * slope + sign * second];
+            play(&with(bound), m).unwrap();
+            assert_eq!(
+                Differences::new(with(bound + 1), m),
+                Err(Refusal::TooCurved { index: 0, value: sign * (bound + 1), bound })
+            );
+        }
     }
 }
 
@@ -138,12 +171,20 @@ fn refusals_change_nothing() {
     assert_eq!(differences, before);
     differences.knot(5 + REACH).unwrap();
     assert_eq!((differences.base(), differences.left()), (-20, 2));
+    let mut differences = Differences::new([0; 4], 11).unwrap();
+    differences.block::<2048>(|_| ()).unwrap();
+    let before = differences;
+    assert_eq!(differences.knot(-174_593), Err(Refusal::TooCurved { index: 1, value: -174_593, bound: 174_592 }));
+    assert_eq!(differences, before);
+    differences.knot(-174_592).unwrap();
 }
 
 /// The messages carry their operands.
 #[test]
 fn refusals_name_their_operands() {
     assert!(Refusal::KnotEarly { left: 3 }.to_string().contains("3 samples before"));
+    let text = Refusal::TooCurved { index: 1, value: -9, bound: 8 }.to_string();
+    assert!(text.contains("point 2") && text.contains("-9") && text.contains('8'), "{text}");
     assert!(Refusal::TooManySamples { samples_log2: 12 }.to_string().contains("2^12 samples"));
     assert!(KnotDue { left: 3 }.to_string().contains("3 samples ahead"));
     assert!(Refusal::from(TooFar { index: 0, value: 9, bound: 8 }).to_string().contains("9 units apart"));

@@ -43,6 +43,29 @@ pub(crate) fn points<const COUNT: usize>() -> impl Strategy<Value = [i32; COUNT]
     })
 }
 
+/// A walk of points within both bounds: first differences up to 2^25, second ones up to `curvature`. `turns` are shares of that in 2^-16, so
+/// that one walk serves all bounds; the whole is moved, up to the very end, where it would leave the range of 32 bits.
+pub(crate) fn walk(start: i32, slope: i32, turns: &[i32], curvature: i32) -> Vec<i32> {
+    let mut difference = i64::from(slope);
+    let mut points = vec![i64::from(start)];
+    for &turn in turns {
+        points.push(points[points.len() - 1] + difference);
+        let change = i64::from(curvature) * i64::from(turn) / 65_536;
+        difference = (difference + change).clamp(-i64::from(REACH), i64::from(REACH));
+    }
+    let least = points.iter().min().unwrap().min(&i64::from(i32::MIN)) - i64::from(i32::MIN);
+    let most = points.iter().max().unwrap().max(&i64::from(i32::MAX)) - i64::from(i32::MAX);
+    points.into_iter().map(|point| i32::try_from(point - least - most).unwrap()).collect()
+}
+
+/// What [`walk`] takes but for the bound: starts anywhere, turns that are mostly all there may be.
+pub(crate) fn walks(count: usize) -> impl Strategy<Value = (i32, i32, Vec<i32>)> {
+    let turn = prop_oneof![3 => Just(65_536), 3 => Just(-65_536), 3 => -65_536..=65_536, 1 => Just(0), 1 => -8..=8i32];
+    let slope = prop_oneof![Just(REACH), Just(-REACH), -REACH..=REACH, -8..=8i32];
+    let start = prop_oneof![4 => any::<i32>(), 1 => Just(i32::MAX), 1 => Just(i32::MIN)];
+    (start, slope, proptest::collection::vec(turn, count))
+}
+
 /// The basis functions above sum to one, and what they say at knots is the textbook's (1, 4, 1)/6.
 #[test]
 fn the_basis_is_the_textbook_s() {
