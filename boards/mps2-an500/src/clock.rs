@@ -21,7 +21,7 @@ const HALF_US_LOG2: u32 = 26;
 /// Ticks of half a round.
 const HALF_TICKS: u32 = TICKS_A_US << HALF_US_LOG2;
 /// Steps of `LocalTicks` a microsecond.
-const STEPS_A_US: u32 = 256;
+pub(crate) const STEPS_A_US: u32 = 256;
 
 /// Bits of a timer's control register.
 const COUNTS: u32 = 1;

@@ -1,7 +1,7 @@
 //! QEMU's `mps2-an500`: a Cortex-M7 with five UARTs. There is such a board, but what this crate was tried on is the emulated one.
 //!
 //! - **Walk:** [`Board::new`] hands out what an image's tasks own; the interrupt bodies are [`UartRx::on_interrupt`] and
-//!   [`UartTx::on_interrupt`].
+//!   [`UartTx::on_interrupt`]. [`pace`] → interpolation → [`outputs`].
 //! - **Invariants:** each part is handed out once. Nothing here knows a node: an image brings the two together.
 //! - **Context:** start-up for [`Board::new`]; else as each part says.
 //! - **Clauses:** `[NOD-08]` capture, `[DSC-05]` what is kept.
@@ -14,13 +14,17 @@
 pub mod clock;
 pub mod kept;
 pub mod latency;
+pub mod outputs;
 pub mod pac;
+pub mod pace;
 pub mod uart;
 pub mod watchdog;
 
 use kept::{Factory, Kept, Region};
 use latency::Latency;
+use outputs::{Enable, StepPins};
 use pac::Interrupt;
+use pace::Pace;
 use uart::{UART_COUNT, UartBuffers};
 use watchdog::Watchdog;
 
@@ -48,12 +52,20 @@ pub struct Board {
     pub factory: Factory,
     /// Stopped until it is started.
     pub latency: Latency,
+    /// The beat of interpolation, which stands still until it is started.
+    pub pace: Pace,
+    /// Steps and directions, all low.
+    pub steps: StepPins,
+    /// Motor drivers, off.
+    pub enable: Enable,
 }
 
 impl Board {
     /// Starts the clock and the UARTs. `region` is this board's [`REGION`], `buffers` memory for the UARTs.
     pub fn new(device: pac::Peripherals, region: Region, buffers: &'static mut [UartBuffers; UART_COUNT]) -> Self {
         clock::start(device.timer0);
+        let [port0, port1] = device.ports;
+        let (steps, enable) = outputs::start(port0, port1, device.io, region);
         let ([r0, r1, r2, r3, r4], [b0, b1, b2, b3, b4]) = (device.uarts, buffers);
         let [u0, u1, u2, u3, u4] = [
             uart::start(r0, Interrupt::UART0TX, b0),
@@ -71,6 +83,9 @@ impl Board {
             kept: region.take(),
             factory: region.factory(),
             latency: Latency::new(device.dual_timer, region),
+            pace: Pace::new(device.systick),
+            steps,
+            enable,
         }
     }
 }

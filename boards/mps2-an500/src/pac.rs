@@ -90,6 +90,44 @@ pub struct DualTimerRegisters {
     pub interrupt_clear: VolatileCell<u32>,
 }
 
+/// The processor's own timer, which counts down.
+#[repr(C)]
+pub struct SystickRegisters {
+    /// Bit 0: counts; bit 1: makes the exception; bit 2: by the processor's clock.
+    pub control: VolatileCell<u32>,
+    /// What it begins at again after 0.
+    pub reload: VolatileCell<u32>,
+    /// Its count; writing anything makes it 0.
+    pub value: VolatileCell<u32>,
+}
+
+/// A block of sixteen pins.
+#[repr(C)]
+pub struct GpioRegisters {
+    /// Levels of the pins.
+    pub data: VolatileCell<u32>,
+    /// Levels that are put out.
+    pub output: VolatileCell<u32>,
+    reserved: [u32; 2],
+    /// Writing a 1 makes its pin an output.
+    pub output_enable: VolatileCell<u32>,
+    /// Writing a 1 makes its pin an input.
+    pub output_disable: VolatileCell<u32>,
+    /// Writing a 1 gives its pin to another function.
+    pub alternate_set: VolatileCell<u32>,
+    /// Writing a 1 takes its pin back.
+    pub alternate_clear: VolatileCell<u32>,
+}
+
+const _: () = assert!(core::mem::offset_of!(GpioRegisters, alternate_clear) == 0x1c);
+
+/// The first of the board's own registers.
+#[repr(C)]
+pub struct IoRegisters {
+    /// Bits 0 and 1: the LEDs of the user.
+    pub led: VolatileCell<u32>,
+}
+
 /// The watchdog.
 #[repr(C)]
 pub struct WatchdogRegisters {
@@ -126,6 +164,12 @@ pub struct Peripherals {
     pub uarts: [Registers<UartRegisters>; 5],
     /// The watchdog.
     pub watchdog: Registers<WatchdogRegisters>,
+    /// The processor's own timer.
+    pub systick: Registers<SystickRegisters>,
+    /// Blocks 0 and 1 of pins.
+    pub ports: [Registers<GpioRegisters>; 2],
+    /// LEDs.
+    pub io: Registers<IoRegisters>,
 }
 
 impl Peripherals {
@@ -149,6 +193,9 @@ impl Peripherals {
                     Registers::at(0x4000_9000),
                 ],
                 watchdog: Registers::at(0x4000_8000),
+                systick: Registers::at(0xe000_e010),
+                ports: [Registers::at(0x4001_0000), Registers::at(0x4001_1000)],
+                io: Registers::at(0x4002_8000),
             }
         }
     }
