@@ -9,6 +9,7 @@ pub mod error;
 pub mod explain;
 pub mod link;
 pub mod map;
+pub mod motion;
 pub mod network;
 pub mod ping;
 pub mod scan;

@@ -26,6 +26,7 @@ pub mod info;
 pub mod key;
 pub mod man;
 pub mod map;
+pub mod maxl;
 pub mod name;
 pub mod ping;
 pub mod scan;
@@ -73,6 +74,7 @@ enum Command {
     Debug(debug::DebugArgs),
     Bench(bench::BenchArgs),
     Clock(clock::ClockArgs),
+    Maxl(maxl::MaxlArgs),
     Decode(decode::DecodeArgs),
     Key(key::KeyArgs),
     Completions(completions::CompletionsArgs),
@@ -134,6 +136,7 @@ fn dispatch(command: &Command, output: &mut Output<'_>) -> Result<Exit, CliError
         Command::Debug(args) => debug::run(args, output),
         Command::Bench(args) => bench::run(args, output),
         Command::Clock(args) => clock::run(args, output),
+        Command::Maxl(args) => maxl::run(args, output),
         Command::Decode(args) => decoded(args, output),
         Command::Key(args) => key::run(args, output),
         Command::Completions(args) => completions::run(args, output),
