@@ -5,6 +5,7 @@
 //! it does with bytes and packets is `firmware-app`'s, which the emulated boards run.
 //!
 //! - **Walk:** UART → interrupt → ring → [`uart`] → the image's routing task → [`uart`] → interrupt → UART; the same with [`usb`].
+//!   [`pace`] → interpolation → [`outputs`].
 //! - **Invariants:** nothing here knows a node. No DMA; all data in DTCM, so that caches need no upkeep: see `memory.rs`.
 //! - **Context:** [`Board::init`] in `init`, the rest where its module says.
 //!
@@ -15,6 +16,8 @@
 //! | link 2 | UART7: PE8 TX, PE7 RX | CN10: D42, D41 | `UART7` |
 //! | link 3 | OTG2, full speed: PA11 D−, PA12 D+ | CN13, "USB USER" | `OTG_FS` |
 //! | kind, bits 0, 1, 2 | PE4, PE5, PE6 | CN9: D57, D58, D59 | |
+//! | steps, directions, enable | PE9 to PE15, PE0, PE2 | CN10, see [`outputs`] | |
+//! | beat | | | `TIM3` |
 //!
 //! The kind's pins are read once at start-up: open is 0, tied to 3.3 V is 1; the number is an index into `firmware_app::kind::KINDS`.
 //!
@@ -32,6 +35,8 @@ pub mod clock;
 pub mod flash;
 pub mod kept;
 mod memory;
+pub mod outputs;
+pub mod pace;
 pub mod uart;
 pub mod usb;
 
@@ -72,6 +77,12 @@ pub struct Board {
     pub wake: clock::Wake,
     /// For the interrupt `TIM5`.
     pub wake_interrupt: clock::WakeInterrupt,
+    /// The beat of interpolation, which stands still until it is started.
+    pub pace: pace::Pace,
+    /// Steps and directions, all low.
+    pub steps: outputs::StepPins,
+    /// Motor drivers, off.
+    pub enable: outputs::Enable,
     /// Where settings are kept.
     pub settings: Option<flash::SettingsFlash>,
     /// Silicon's number, 96 bits.
@@ -115,11 +126,22 @@ impl Board {
         let Ccdr { clocks, mut peripheral, .. } = clocks(p.PWR, p.RCC, &p.SYSCFG);
         peripheral.kernel_usb_clk_mux(UsbClkSel::Pll1Q);
         let (wake, wake_interrupt) = clock::start(p.TIM5, peripheral.TIM5, &clocks);
+        let pace = pace::set_up(p.TIM3, peripheral.TIM3, &clocks);
         let unique_id = *hal::signature::Uid::read();
 
         let a = p.GPIOA.split(peripheral.GPIOA);
         let d = p.GPIOD.split(peripheral.GPIOD);
         let e = p.GPIOE.split(peripheral.GPIOE);
+        outputs::low(e.pe9);
+        outputs::low(e.pe10);
+        outputs::low(e.pe11);
+        outputs::low(e.pe12);
+        outputs::low(e.pe13);
+        outputs::low(e.pe14);
+        outputs::low(e.pe15);
+        outputs::low(e.pe0);
+        outputs::low(e.pe2);
+        let (steps, enable) = outputs::of_low_pins();
         let straps = [
             e.pe4.into_pull_down_input().is_high(),
             e.pe5.into_pull_down_input().is_high(),
@@ -150,6 +172,9 @@ impl Board {
             watchdog: Watchdog(IndependentWatchdog::new(p.IWDG)),
             wake,
             wake_interrupt,
+            pace,
+            steps,
+            enable,
             settings: flash::SettingsFlash::new(p.FLASH),
             unique_id,
             straps,
