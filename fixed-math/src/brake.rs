@@ -51,11 +51,8 @@ impl Brake {
         let speed = velocity.unsigned_abs();
         let steps = self.steps(speed);
         // below one step of jerk, what is left goes at once
-        let wanted = if steps == 0 {
-            speed
-        } else {
-            min(self.jerk * steps, max(self.acceleration, acceleration.unsigned_abs()))
-        };
+        let wanted = if steps == 0 { speed } else { self.jerk * steps };
+        let wanted = min(wanted, max(self.acceleration, acceleration.unsigned_abs()));
         let wanted = if velocity > 0 { wanted.cast_signed().saturating_neg() } else { wanted.cast_signed() };
         let jerk = self.jerk.cast_signed();
         let acceleration = clamp(wanted, acceleration.saturating_sub(jerk), acceleration.saturating_add(jerk));
@@ -64,7 +61,7 @@ impl Brake {
     }
 
     /// The largest n with J·n(n+1)/2 ≤ `speed`.
-    const fn steps(&self, speed: u32) -> u32 {
+    const fn steps(self, speed: u32) -> u32 {
         let mut steps = 0;
         let mut bit = STEPS_LOG2;
         while bit > 0 {

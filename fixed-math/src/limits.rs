@@ -87,7 +87,7 @@ impl Curve {
         Self { at_rest: value, at_full: value, knee: 0, slope_q16: 0 }
     }
 
-    /// Falls from `at_rest` at speed `knee` to `at_full` at speed `full`. `None` unless 0 ≤ knee < full and at_full ≤ at_rest.
+    /// Falls from `at_rest` at speed `knee` to `at_full` at speed `full`. `None` unless 0 ≤ `knee` < `full` and 1 ≤ `at_full` ≤ `at_rest`.
     #[must_use]
     #[expect(clippy::cast_possible_truncation, reason = "at most 2^26 << 16 over one is cut below 2^32 by the check")]
     pub const fn falling(at_rest: i32, at_full: i32, knee: i32, full: i32) -> Option<Self> {
@@ -339,8 +339,17 @@ impl Limits {
                 return Ok(step);
             }
             let next = self.brake.next(knot);
-            let kept = self.keeps(knot, next.position);
-            knot = kept.map_err(|violation| Violation { is_of_stop: true, ..violation })?;
+            if knot.position.checked_add(next.velocity).is_none() {
+                // a limit at the end of all positions: what saturates there is no stop
+                let (limit, bound) = if next.velocity > 0 {
+                    (LimitKind::PositionMax, self.max)
+                } else {
+                    (LimitKind::PositionMin, self.min)
+                };
+                return Err(Violation { limit, is_of_stop: true, value: next.position, bound });
+            }
+            self.keeps(knot, next.position).map_err(|violation| Violation { is_of_stop: true, ..violation })?;
+            knot = next;
         }
         let bound = self.velocity;
         Err(Violation { limit: LimitKind::Velocity, is_of_stop: true, value: knot.velocity, bound })

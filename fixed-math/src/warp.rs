@@ -143,28 +143,28 @@ impl Warp {
     }
 
     /// T/2, steps.
-    const fn half(&self) -> u32 {
+    const fn half(self) -> u32 {
         3 << (self.third_log2 - 1)
     }
 
     /// `since` in steps where it is within the stop.
     #[expect(clippy::cast_possible_truncation, reason = "checked before")]
-    const fn within(&self, since: Span) -> Option<u32> {
+    const fn within(self, since: Span) -> Option<u32> {
         if since.steps() < 2 * self.half() as u64 { Some(since.steps() as u32) } else { None }
     }
 
     /// `steps` ≤ T/2 over T/3, 2^−30, and its square.
     #[expect(clippy::cast_possible_truncation, reason = "1.5² of 2^30 is below 2^32")]
-    const fn squared(&self, steps: u32) -> (u32, u32) {
+    const fn squared(self, steps: u32) -> (u32, u32) {
         let part = steps << (30 - self.third_log2);
         (part, (product(part, part) >> 30) as u32)
     }
 
     /// 2x³/3T² for x ≤ T/2, to the nearest step: what track time has fallen behind since the rate was one. At T/2 it is T/12 exactly.
     #[expect(clippy::cast_possible_truncation, reason = "1.5³ of 2^30, and T/12, are below 2^32")]
-    const fn lost(&self, steps: u32) -> u32 {
+    const fn lost(self, steps: u32) -> u32 {
         // 2/27, 2^−35
-        const FACTOR: u32 = (((1_u64 << 37) / 27 + 1) / 2) as u32;
+        const FACTOR: u32 = ((1_u64 << 37) / 27).div_ceil(2) as u32;
         let (part, squared) = self.squared(steps);
         let cubed = (product(squared, part) >> 30) as u32;
         let shift = 65 - self.third_log2;
@@ -173,9 +173,9 @@ impl Warp {
 
     /// 2x²/T² for x ≤ T/2, 2^−16, to the nearest.
     #[expect(clippy::cast_possible_truncation, reason = "at most one half")]
-    const fn twice_squared(&self, steps: u32) -> u32 {
+    const fn twice_squared(self, steps: u32) -> u32 {
         // 2/9, 2^−34
-        const FACTOR: u32 = (((1_u64 << 36) / 9 + 1) / 2) as u32;
+        const FACTOR: u32 = ((1_u64 << 36) / 9).div_ceil(2) as u32;
         let (_, squared) = self.squared(steps);
         ((product(squared, FACTOR) + (1 << 47)) >> 48) as u32
     }
