@@ -261,6 +261,7 @@ fn scaled_product(a: i32, b: i32, shift: u8) -> Option<i32> {
     let product = product_signed(a, b) + i64::from(half);
     #[expect(
         clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
         reason = "the two halves, as shifts of 64 bits are slow where there is no instruction"
     )]
     let (high, low) = ((product >> 32) as i32, product as u32);
