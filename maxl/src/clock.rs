@@ -56,7 +56,7 @@ pub enum HaltError {
     },
     /// A resume of what runs.
     NotStopped,
-    /// The task below has not taken the last one yet; send it again.
+    /// What was asked before waits for the next beat: send it again.
     Busy,
 }
 
@@ -112,41 +112,52 @@ struct Request {
     epoch: NetTime,
 }
 
+/// From the interrupt, one to each request: what became of it. And where system time stepped back.
+#[derive(Clone, Copy, Debug)]
+enum Told {
+    /// It will be turned.
+    Turn(Turn),
+    /// The last turn, which has not begun, is this one instead.
+    Instead(Turn),
+    /// The last turn, which has not begun, is none.
+    Cancelled,
+    /// There was nothing to do.
+    Nothing,
+    /// System time stepped back: all turns before are as if they had never been.
+    Stepped(Turn),
+}
+
 /// What the two halves of a node's motion clock share.
 #[derive(Debug)]
 pub struct ClockRings {
     requests: Queue<Request, 4>,
-    turns: Queue<Turn, 4>,
+    told: Queue<Told, 8>,
 }
 
 impl ClockRings {
     /// Empty ones.
     #[must_use]
     pub const fn new() -> Self {
-        Self { requests: Queue::new(), turns: Queue::new() }
+        Self { requests: Queue::new(), told: Queue::new() }
     }
 
     /// The half of the task and the half of the interrupt; stops take as long as `warp` says, until [`MotionClock::set_warp`].
     pub fn split(&mut self, warp: Warp) -> (MotionClock<'_>, BeatClock<'_>) {
         let (requests_in, requests_out) = self.requests.split();
-        let (turns_in, turns_out) = self.turns.split();
+        let (told_in, told_out) = self.told.split();
         let clock = MotionClock {
             warp,
             requests: requests_in,
-            turns: turns_out,
+            told: told_out,
             kept: Deque::new(),
             oldest: Turn::NONE,
             asked: None,
+            outstanding: 0,
             sequence: None,
+            steps_back: 0,
         };
-        let beat = BeatClock {
-            requests: requests_out,
-            turns: turns_in,
-            turn: Turn::NONE,
-            next: None,
-            last: NetTime::ZERO,
-        };
-        (clock, beat)
+        let (turn, next, last) = (Turn::NONE, None, NetTime::ZERO);
+        (clock, BeatClock { requests: requests_out, told: told_in, turn, next, last })
     }
 }
 
@@ -161,33 +172,35 @@ pub struct MotionClock<'a> {
     /// Of stops to come; a resume is as its stop was.
     warp: Warp,
     requests: Producer<'a, Request>,
-    turns: Consumer<'a, Turn>,
+    told: Consumer<'a, Told>,
     /// Turns that were played, the newest last.
     kept: Deque<Turn, WARPS_KEPT>,
     /// The one before the oldest that is kept.
     oldest: Turn,
-    /// The request that was not confirmed yet.
+    /// What the last request is expected to become, until it is told.
     asked: Option<Turn>,
+    /// Requests that were not told of yet.
+    outstanding: u8,
     sequence: Option<u32>,
+    steps_back: u32,
 }
 
 impl MotionClock<'_> {
-    /// Track time stops from `epoch` on, or from `now` on where that is later. A repeated `sequence` is no error and does nothing.
+    /// Track time stops from `epoch` on, or from `now` on where that is later, or at the end of a resume that is under way. A resume that has not
+    /// begun is cancelled, and a stop that was to begin later begins now. A repeated `sequence` does nothing.
     ///
     /// # Errors
-    /// [`HaltError::Stale`], [`HaltError::Busy`].
+    /// [`HaltError::Stale`]; [`HaltError::Busy`] where three requests wait for the next beat.
     pub fn stop(&mut self, sequence: u32, epoch: NetTime, now: NetTime) -> Result<(), HaltError> {
         self.run();
         if !self.is_new(sequence)? {
             return Ok(());
         }
-        if self.newest().is_stop {
-            self.sequence = Some(sequence);
-            return Ok(());
-        }
-        // a resume goes to its end before
-        let over = self.newest().end();
-        self.ask(sequence, true, epoch.max(now).max(over))
+        let epoch = epoch.max(now);
+        let newest = self.newest();
+        let expected =
+            if newest.is_stop { (newest.epoch > epoch).then_some(epoch) } else { Some(epoch.max(newest.end())) };
+        self.ask(sequence, Request { warp: self.warp, is_stop: true, epoch }, expected)
     }
 
     /// Track time goes on from `epoch` on, or from `now` on where that is later.
@@ -199,45 +212,58 @@ impl MotionClock<'_> {
         if !self.is_new(sequence)? {
             return Ok(());
         }
+        if self.outstanding > 0 {
+            return Err(HaltError::Busy);
+        }
         let newest = self.newest();
         if !newest.is_stop {
             return Err(HaltError::NotStopped);
         }
-        let epoch = epoch.max(now);
-        let until = newest.end();
+        let (epoch, until) = (epoch.max(now), newest.end());
         if epoch < until {
             return Err(HaltError::StillStopping { until });
         }
-        self.ask(sequence, false, epoch)
+        self.ask(sequence, Request { warp: newest.warp, is_stop: false, epoch }, Some(epoch))
     }
 
     /// Hears what the interrupt's half did.
     pub fn run(&mut self) {
-        while let Some(turn) = self.turns.dequeue() {
-            self.asked = None;
-            if self.kept.is_full()
-                && let Some(oldest) = self.kept.pop_front()
-            {
-                self.oldest = oldest;
+        while let Some(told) = self.told.dequeue() {
+            if !matches!(told, Told::Stepped(_)) {
+                self.outstanding = self.outstanding.saturating_sub(1);
             }
-            let _room = self.kept.push_back(turn);
+            if self.outstanding == 0 {
+                self.asked = None;
+            }
+            match told {
+                Told::Turn(turn) => self.keep(turn),
+                Told::Instead(turn) => {
+                    let _cancelled = self.kept.pop_back();
+                    self.keep(turn);
+                }
+                Told::Cancelled => {
+                    let _cancelled = self.kept.pop_back();
+                }
+                Told::Nothing => {}
+                Told::Stepped(turn) => {
+                    self.kept.clear();
+                    self.oldest = turn;
+                    self.steps_back = self.steps_back.saturating_add(1);
+                }
+            }
         }
     }
 
-    /// Track time at `system`, past or not. Before the oldest turn that is remembered it is what it was behind that one.
+    /// Track time at `system`, past or not. Before the oldest turn that is remembered it is what it was behind the one before.
     #[must_use]
     pub fn track_time(&self, system: NetTime) -> TrackTime {
-        let played = self.asked.iter().chain(self.kept.iter().rev());
-        let turn = played.into_iter().find(|turn| turn.epoch <= system);
-        turn.unwrap_or(&self.oldest).at(system)
+        self.turn_at(system).at(system)
     }
 
     /// What track time does at `system`.
     #[must_use]
     pub fn state(&self, system: NetTime) -> MotionState {
-        let played = self.asked.iter().chain(self.kept.iter().rev());
-        let turn = played.into_iter().find(|turn| turn.epoch <= system);
-        turn.unwrap_or(&self.oldest).state(system)
+        self.turn_at(system).state(system)
     }
 
     /// From now on stops take as long as `warp` says. For the task to decide when: axes that are armed have the reserve of the former.
@@ -251,8 +277,29 @@ impl MotionClock<'_> {
         &self.warp
     }
 
+    /// How often system time stepped back; track time did not, and is off the network's since.
+    #[must_use]
+    pub const fn steps_back(&self) -> u32 {
+        self.steps_back
+    }
+
+    /// The turn of the last stop, or of the last resume, that is to come or was.
     fn newest(&self) -> Turn {
         self.asked.or(self.kept.back().copied()).unwrap_or(self.oldest)
+    }
+
+    fn turn_at(&self, system: NetTime) -> &Turn {
+        let mut newest_first = self.asked.iter().chain(self.kept.iter().rev());
+        newest_first.find(|turn| turn.epoch <= system).unwrap_or(&self.oldest)
+    }
+
+    fn keep(&mut self, turn: Turn) {
+        if self.kept.is_full()
+            && let Some(oldest) = self.kept.pop_front()
+        {
+            self.oldest = oldest;
+        }
+        let _room = self.kept.push_back(turn);
     }
 
     fn is_new(&self, sequence: u32) -> Result<bool, HaltError> {
@@ -263,17 +310,16 @@ impl MotionClock<'_> {
         }
     }
 
-    fn ask(&mut self, sequence: u32, is_stop: bool, epoch: NetTime) -> Result<(), HaltError> {
-        if self.asked.is_some() {
-            return Err(HaltError::Busy);
-        }
-        let epoch = on_grid(epoch);
-        let newest = self.newest();
-        let warp = if is_stop { self.warp } else { newest.warp };
-        let track = newest.at(epoch).time;
-        self.requests.enqueue(Request { warp, is_stop, epoch }).map_err(|_| HaltError::Busy)?;
-        self.asked = Some(Turn { warp, is_stop, epoch, track });
+    /// Hands a request over; it is expected to turn track time at `expected`.
+    fn ask(&mut self, sequence: u32, request: Request, expected: Option<NetTime>) -> Result<(), HaltError> {
+        self.requests.enqueue(request).map_err(|_| HaltError::Busy)?;
+        self.outstanding += 1;
         self.sequence = Some(sequence);
+        if let Some(epoch) = expected.map(on_grid) {
+            let track = self.newest().at(epoch).time;
+            let Request { warp, is_stop, .. } = request;
+            self.asked = Some(Turn { warp, is_stop, epoch, track });
+        }
         Ok(())
     }
 }
@@ -281,7 +327,7 @@ impl MotionClock<'_> {
 /// The interrupt's half.
 pub struct BeatClock<'a> {
     requests: Consumer<'a, Request>,
-    turns: Producer<'a, Turn>,
+    told: Producer<'a, Told>,
     turn: Turn,
     /// What begins at its epoch.
     next: Option<Turn>,
@@ -290,30 +336,86 @@ pub struct BeatClock<'a> {
 }
 
 impl BeatClock<'_> {
-    /// Track time of the beat at `system`. A system time before that of the last beat is taken as that one.
+    /// Track time of the beat at `system`. A system time that is back by up to [`EPOCH_GRID`] is taken as that of the last beat; where it is back by
+    /// more, track time goes on from where it is, off the network's.
     pub fn advance(&mut self, system: NetTime) -> TrackTime {
-        let system = system.max(self.last);
-        if self.next.is_none()
+        if self.last.since(system) > EPOCH_GRID {
+            self.step_back(system);
+        }
+        if self.told.ready()
             && let Some(request) = self.requests.dequeue()
         {
-            // what has been played cannot be warped any more
-            let epoch = on_grid(request.epoch.max(self.last));
-            let track = self.turn.at(epoch).time;
-            let turn = Turn { warp: request.warp, is_stop: request.is_stop, epoch, track };
-            self.next = Some(turn);
-            let _room = self.turns.enqueue(turn);
+            let told = self.turned(request);
+            let _room = self.told.enqueue(told);
         }
-        self.last = system;
-        if let Some(next) = self.next.take_if(|next| next.epoch <= system) {
+        self.last = self.last.max(system);
+        if let Some(next) = self.next.take_if(|next| next.epoch <= self.last) {
             self.turn = next;
         }
-        self.turn.at(system)
+        self.turn.at(self.last)
     }
 
     /// What track time did at the last beat.
     #[must_use]
     pub fn state(&self) -> MotionState {
         self.turn.state(self.last)
+    }
+
+    /// What becomes of a request. What has been played cannot be turned any more, so nothing begins before the last beat.
+    fn turned(&mut self, request: Request) -> Told {
+        let Request { warp, is_stop, epoch } = request;
+        let epoch = on_grid(epoch.max(self.last));
+        match (is_stop, self.next) {
+            (true, Some(next)) if !next.is_stop => {
+                self.next = None;
+                Told::Cancelled
+            }
+            (true, Some(next)) => {
+                let epoch = epoch.max(on_grid(self.turn.end()));
+                if epoch >= next.epoch {
+                    return Told::Nothing;
+                }
+                Told::Instead(self.turn_next(warp, is_stop, epoch))
+            }
+            (true, None) if !self.turn.is_stop => {
+                // a resume goes to its end before
+                let epoch = epoch.max(on_grid(self.turn.end()));
+                Told::Turn(self.turn_next(warp, is_stop, epoch))
+            }
+            (false, None) if self.turn.is_stop && epoch >= self.turn.end() => {
+                Told::Turn(self.turn_next(warp, is_stop, epoch))
+            }
+            _ => Told::Nothing,
+        }
+    }
+
+    fn turn_next(&mut self, warp: Warp, is_stop: bool, epoch: NetTime) -> Turn {
+        let turn = Turn { warp, is_stop, epoch, track: self.turn.at(epoch).time };
+        self.next = Some(turn);
+        turn
+    }
+
+    /// System time is `system` now and was later before: all epochs go back with it, so that track time goes on.
+    fn step_back(&mut self, system: NetTime) {
+        let back = -self.last.steps_after(system);
+        if self.turn == Turn::NONE {
+            // a resume that ended one duration ago
+            let warp = Warp::SHORTEST;
+            let used = warp.used().steps().cast_signed();
+            self.turn =
+                Turn { warp, is_stop: false, epoch: self.last.shifted(-2 * used), track: self.last.shifted(-used) };
+        }
+        // an epoch before the origin would lose what passed since: it is long over
+        let since = self.last.since(self.turn.epoch).min(self.turn.warp.duration());
+        let passed = self.turn.at(self.turn.epoch + since).time;
+        let now = self.turn.at(self.last).time;
+        self.turn.track = self.turn.track.shifted(now.steps_after(passed));
+        self.turn.epoch = system.shifted(-since.steps().cast_signed());
+        self.next = self.next.map(|next| Turn { epoch: next.epoch.shifted(back), ..next });
+        self.last = system;
+        if self.told.ready() {
+            let _room = self.told.enqueue(Told::Stepped(self.turn));
+        }
     }
 }
 

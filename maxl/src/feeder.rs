@@ -6,12 +6,11 @@
 //!   breaks one latches a [`Fault`]: nothing more enters. The player's own points are computed here again, exactly.
 //! - **Context:** the task `serve`.
 
-use crate::axis::{ArmError, AxisConfig, Event, Fault, Order, Point, Start, StarvedCause};
+use crate::axis::{ArmError, AxisConfig, ConfigError, Event, Fault, Order, Point, Start, StarvedCause};
 use crate::history::History;
 use crate::ring::PointsIn;
 use fixed_math::limits::{Knot, Limits};
 use fixed_math::spline::horner::Cubic;
-use fixed_math::spline::{INTERVAL_LOG2_MIN, IntervalLog2};
 use fixed_math::time::{NetTime, Span};
 use heapless::spsc::{Consumer, Producer};
 
@@ -134,6 +133,8 @@ pub struct Motion {
     pub velocity: i32,
     /// Along the track, 2^−4 LSB an interval².
     pub acceleration: i32,
+    /// Along the track, LSB an interval³.
+    pub jerk: i32,
 }
 
 /// The task's half of an axis.
@@ -258,6 +259,11 @@ impl<'a, const QUEUE: usize, const HISTORY: usize> Feeder<'a, QUEUE, HISTORY> {
         }
         let limits = config.check().map_err(ArmError::Config)?;
         let step = u64::from(config.interval.steps());
+        // a missing point is given up when at most three and those of the lead are before it
+        let most = Span::from_steps(step * (QUEUE as u64 - 4));
+        if config.lead > most {
+            return Err(ArmError::Config(ConfigError::Lead { value: config.lead, most }));
+        }
         if start.steps() & (step - 1) != 0 {
             return Err(ArmError::OffGrid { start, interval: Span::from_steps(step) });
         }
@@ -337,21 +343,53 @@ impl<'a, const QUEUE: usize, const HISTORY: usize> Feeder<'a, QUEUE, HISTORY> {
         self.retrace(now);
     }
 
-    /// Where the axis was at track time `at`; `None` before the history and beyond its points.
+    /// Where the axis was, or will be, at track time `at`. `None` before the history, beyond the points, and for a series in which time leapt.
     #[must_use]
     pub fn position_at(&self, at: NetTime) -> Option<Motion> {
         let series = self.series.as_ref()?;
         let after = at.steps_after(series.start);
         let step = i64::from(series.config.interval.steps());
         let (index, since) = (after.div_euclid(step), after.rem_euclid(step));
-        let mut points = [0; 4];
-        for (offset, point) in (-1..).zip(&mut points) {
-            *point = self.history.get(index.saturating_add(offset))?;
+        let is_over =
+            matches!(self.state, FeederState::Resting { .. }) && index > self.history.newest().cast_signed() - 3;
+        let mut points = [series.knot.position; 4];
+        if !is_over {
+            if self.cause() == Some(StarvedCause::Leapt) {
+                return None;
+            }
+            for (offset, point) in (-1..).zip(&mut points) {
+                *point = self.history.get(index.saturating_add(offset))?;
+            }
         }
         let cubic = Cubic::new(points).ok()?;
         let part = series.config.interval.part(u32::try_from(since).ok()?);
         let (position, velocity) = cubic.position_velocity(part);
-        Some(Motion { position, velocity, acceleration: cubic.acceleration(part) })
+        let (acceleration, jerk) = (cubic.acceleration(part), cubic.jerk());
+        Some(Motion { position, velocity, acceleration, jerk })
+    }
+
+    /// Points that there is room for.
+    #[must_use]
+    pub fn free(&self) -> u32 {
+        u32::try_from(QUEUE).unwrap_or(u32::MAX).saturating_sub(self.points.waiting())
+    }
+
+    /// From when to when [`position_at`](Self::position_at) knows the track, track time. An axis rested before its series, and rests after it.
+    #[must_use]
+    pub fn history(&self) -> Option<(NetTime, NetTime)> {
+        let series = self.series.as_ref()?;
+        let oldest = self.history.oldest();
+        // the segment from point i on takes those from i − 1 to i + 2
+        let from = series.time_of(if oldest == 0 { 0 } else { oldest + 1 });
+        Some((from, series.time_of(self.history.newest().saturating_sub(1)).max(from)))
+    }
+
+    /// Why the series is over.
+    const fn cause(&self) -> Option<StarvedCause> {
+        match self.state {
+            FeederState::Stopping { cause } | FeederState::Resting { cause } => Some(cause),
+            FeederState::Unarmed | FeederState::Following => None,
+        }
     }
 
     fn count(&mut self, refusal: Option<Refusal>) {
@@ -373,7 +411,6 @@ impl<'a, const QUEUE: usize, const HISTORY: usize> Feeder<'a, QUEUE, HISTORY> {
 
     fn take(&mut self, point: Point, now: NetTime) -> Result<Accepted, Refusal> {
         let index = self.admit(point, now)?;
-        let waiting = u64::from(self.points.waiting());
         let Some(series) = &mut self.series else { return Err(Refusal::NotArmed) };
         let is_fresh = index > series.highest;
         series.highest = series.highest.max(index);
@@ -383,8 +420,7 @@ impl<'a, const QUEUE: usize, const HISTORY: usize> Feeder<'a, QUEUE, HISTORY> {
         } else {
             *series.held_at(index) = Some(point.position);
         }
-        let room = (QUEUE as u64).saturating_sub(waiting + 1);
-        Ok(Accepted { free: u32::try_from(room).unwrap_or(0), is_fresh })
+        Ok(Accepted { free: self.free(), is_fresh })
     }
 
     /// The index of a point that may be taken.
@@ -428,9 +464,9 @@ impl<'a, const QUEUE: usize, const HISTORY: usize> Feeder<'a, QUEUE, HISTORY> {
         if ahead > room { Err(Refusal::Full { needed: ahead, room }) } else { Ok(index) }
     }
 
-    /// Puts the next point into the ring, or latches why not.
-    fn append(&mut self, position: i32, is_rebuilt: bool) -> Result<(), Fault> {
-        let Some(series) = &mut self.series else { return Ok(()) };
+    /// Puts the next point into the ring, or latches why not. False where there is no room.
+    fn append(&mut self, position: i32, is_rebuilt: bool) -> Result<bool, Fault> {
+        let Some(series) = &mut self.series else { return Ok(false) };
         let index = series.front + 1;
         let checked = series.limits.check(series.knot, position);
         let knot = checked.map_err(|violation| Fault::new(series.time_of(index), is_rebuilt, violation));
@@ -439,13 +475,15 @@ impl<'a, const QUEUE: usize, const HISTORY: usize> Feeder<'a, QUEUE, HISTORY> {
             self.counters.limit = self.counters.limit.saturating_add(1);
         })?;
         // there is room: `admit` has counted it, and a rebuilt point comes when the ring is all but empty
-        if self.points.push(position) {
+        let is_in = self.points.push(position);
+        if is_in {
             series.front = index;
+            series.highest = series.highest.max(index);
             series.knot = knot;
             self.history.push(position);
             series.rebuilt_in_row = if is_rebuilt { series.rebuilt_in_row.saturating_add(1) } else { 0 };
         }
-        Ok(())
+        Ok(is_in)
     }
 
     /// Moves held points on whose gap is closed.
@@ -453,7 +491,7 @@ impl<'a, const QUEUE: usize, const HISTORY: usize> Feeder<'a, QUEUE, HISTORY> {
         while let Some(series) = &mut self.series {
             let next = series.front + 1;
             let Some(position) = series.held_at(next).take() else { return };
-            if self.append(position, false).is_err() {
+            if self.append(position, false) != Ok(true) {
                 return;
             }
         }
@@ -472,11 +510,11 @@ impl<'a, const QUEUE: usize, const HISTORY: usize> Feeder<'a, QUEUE, HISTORY> {
         let Some(position) = Self::rebuilt(series) else { return false };
         series.rebuilt += 1;
         self.counters.rebuilt = self.counters.rebuilt.saturating_add(1);
-        if self.append(position, true).is_ok() {
+        let is_in = self.append(position, true) == Ok(true);
+        if is_in {
             self.release_held();
-            return true;
         }
-        false
+        is_in
     }
 
     /// (−P₋₂ + 4P₋₁ + 4P₊₁ − P₊₂)/6 to the nearest between neighbours, 3P₋₁ − 3P₋₂ + P₋₃ where there are none behind it.
@@ -549,5 +587,3 @@ impl<'a, const QUEUE: usize, const HISTORY: usize> Feeder<'a, QUEUE, HISTORY> {
 const fn low(index: u64) -> u32 {
     index as u32
 }
-
-const _: () = assert!(IntervalLog2::new(INTERVAL_LOG2_MIN).is_some());

@@ -45,6 +45,10 @@ impl<const N: usize> History<N> {
         self.newest
     }
 
+    pub(crate) const fn oldest(&self) -> u64 {
+        self.oldest
+    }
+
     pub(crate) fn get(&self, index: i64) -> Option<i32> {
         match u64::try_from(index) {
             Err(_) | Ok(0) if self.oldest == 0 => Some(self.origin),

@@ -79,10 +79,10 @@ struct Segment {
 
 impl Segment {
     /// Rests at `position`; its first knot is one interval before `start`.
-    fn resting(position: i32, start: NetTime, interval: IntervalLog2) -> Self {
+    fn resting(position: i32, start: NetTime, interval: IntervalLog2, at: NetTime) -> Self {
         let knot = start.shifted(-2 * i64::from(interval.steps()));
         let newest = Knot::resting(position);
-        Self { points: [position; 4], newest, cubic: constant(position), knot, interval, at: NetTime::ZERO }
+        Self { points: [position; 4], newest, cubic: constant(position), knot, interval, at }
     }
 
     /// Goes on to the next knot, with `next` as the newest point.
@@ -134,7 +134,7 @@ impl<'a, const QUEUE: usize> Player<'a, QUEUE> {
             points_in,
             orders,
             events,
-            segment: Segment::resting(0, NetTime::ZERO, interval),
+            segment: Segment::resting(0, NetTime::ZERO, interval, NetTime::ZERO),
             brake: Brake::new(1, 1),
             policy: StarvedPolicy::Stop,
             state: PlayerState::Idle,
@@ -150,7 +150,7 @@ impl<'a, const QUEUE: usize> Player<'a, QUEUE> {
 
     /// The output at track time `at`, which is that of the beat.
     pub fn beat(&mut self, at: NetTime) -> Output {
-        self.take_orders();
+        self.take_orders(at);
         match self.state {
             PlayerState::Following | PlayerState::Stopping => self.go_on(at),
             _ => {}
@@ -158,22 +158,28 @@ impl<'a, const QUEUE: usize> Player<'a, QUEUE> {
         self.output()
     }
 
-    fn take_orders(&mut self) {
+    /// Follows points no longer, if it did: it brakes from the next knot on.
+    pub fn abandon(&mut self) {
+        if self.state == PlayerState::Following {
+            self.starve(StarvedCause::Abandoned);
+        }
+    }
+
+    fn take_orders(&mut self, at: NetTime) {
         let Some(order) = self.orders.peek().copied() else { return };
         match (order, self.state) {
             (Order::Start(_) | Order::Disarm, PlayerState::Stopping | PlayerState::Following) => return,
-            (Order::Start(start), _) => self.start(start),
+            (Order::Start(start), _) => self.start(start, at),
             (Order::Disarm, _) => self.state = PlayerState::Idle,
-            (Order::Abandon, PlayerState::Following) => self.starve(StarvedCause::Abandoned),
-            (Order::Abandon, _) => {}
+            (Order::Abandon, _) => self.abandon(),
         }
         let _taken = self.orders.dequeue();
     }
 
-    fn start(&mut self, start: Start) {
+    fn start(&mut self, start: Start, at: NetTime) {
         let Start { first, position, time, interval, brake, policy } = start;
         self.points_in.skip_to(first);
-        self.segment = Segment::resting(position, time, interval);
+        self.segment = Segment::resting(position, time, interval, at);
         (self.brake, self.policy) = (brake, policy);
         if self.state == PlayerState::Idle {
             self.origin = self.origin.wrapping_add(1);
@@ -185,9 +191,8 @@ impl<'a, const QUEUE: usize> Player<'a, QUEUE> {
     fn go_on(&mut self, at: NetTime) {
         let interval = u64::from(self.segment.interval.steps());
         let most = interval * u64::from(LEAP_INTERVALS_MAX);
-        let is_first = self.segment.at == NetTime::ZERO;
         let back = self.segment.at.since(at).steps();
-        if !is_first && (back > most || at.since(self.segment.at.max(self.segment.knot)).steps() > most) {
+        if back > most || at.since(self.segment.at.max(self.segment.knot)).steps() > most {
             self.leap(at);
         } else {
             self.segment.at = self.segment.at.max(at);
