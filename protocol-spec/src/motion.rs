@@ -30,6 +30,8 @@ pub const POINTS_OPERATION: u8 = 1;
 pub const REQUEST_OPERATION: u8 = 0;
 /// Operation of a datagram with readings, `[MOT-14]`.
 pub const READINGS_OPERATION: u8 = 2;
+/// Operation of a datagram with a [`MotionRefusal`], the answer to a datagram, `[MOT-01]`.
+pub const REFUSAL_OPERATION: u8 = 3;
 /// Most points of one message, `[MOT-03]`.
 pub const POINTS_MAX: usize = 32;
 /// Most nodes of signals, `[MOT-13]`.
@@ -255,6 +257,23 @@ pub struct Fault {
     pub bound: i32,
 }
 
+/// Why a device halted all motion by itself, `[MOT-06]`, `[MOT-11]`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum HaltReason {
+    /// An axis broke a limit.
+    Fault {
+        /// Which axis.
+        axis: u8,
+    },
+    /// No fresh point came for [`FRESH_US_MAX`].
+    Silence {
+        /// For which axis.
+        axis: u8,
+    },
+    /// The clock could not be relied on.
+    Clock,
+}
+
 /// How an axis does.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AxisStatus {
@@ -280,6 +299,8 @@ pub struct AxisStatus {
     pub starved: u32,
     /// Steps that were due in a beat beyond the one there is.
     pub steps_late: u32,
+    /// Why the device last halted all motion by itself.
+    pub halted: Option<HaltReason>,
 }
 
 /// What a motion port answers.
@@ -445,6 +466,8 @@ pub enum MotionRefusal {
         /// The operand at fault.
         operand: u8,
     },
+    /// What was asked before is not done yet: ask again.
+    Busy,
 }
 
 impl MotionRequest {
@@ -571,6 +594,20 @@ impl ReadingMessage {
     }
 }
 
+impl MotionReply {
+    /// Its bytes in `out`; `None` where that is shorter than [`REPLY_BYTES_MAX`] and it does not fit.
+    pub fn encode<'o>(&self, out: &'o mut [u8]) -> Option<&'o [u8]> {
+        postcard::to_slice(self, out).ok().map(|bytes| &*bytes)
+    }
+}
+
+impl MotionRefusal {
+    /// Its bytes in `out`; `None` where that is shorter than [`REPLY_BYTES_MAX`] and it does not fit.
+    pub fn encode<'o>(&self, out: &'o mut [u8]) -> Option<&'o [u8]> {
+        postcard::to_slice(self, out).ok().map(|bytes| &*bytes)
+    }
+}
+
 /// Reads a reply; `None` where it is none, or something follows.
 #[must_use]
 pub fn reply(bytes: &[u8]) -> Option<MotionReply> {
@@ -624,6 +661,7 @@ mod tests {
             rebuilt: u32::MAX,
             starved: u32::MAX,
             steps_late: u32::MAX,
+            halted: Some(HaltReason::Silence { axis: u8::MAX }),
         };
         let mut out = [0; REPLY_BYTES_MAX];
         let len = postcard::to_slice(&MotionReply::Status(status), &mut out).unwrap().len();

@@ -54,8 +54,14 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
         let sequence = self.halt.map_or(1, |known| known.sequence.saturating_add(1));
         let halt = Halt { action, sequence, epoch, origin: self.identity.unique_id };
         self.halt = Some(halt);
+        self.halt_is_new = true;
         self.tell_halt(None, now);
         halt
+    }
+
+    /// Whether there is another halt than when this was asked last: who plays tracks has something to do.
+    pub const fn take_halt_news(&mut self) -> bool {
+        core::mem::replace(&mut self.halt_is_new, false)
     }
 
     /// Has all open gateways but `except` tell the latest halt.
@@ -119,6 +125,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
             }
             _ => {
                 self.halt = Some(heard);
+                self.halt_is_new = true;
                 // the drops of a bus heard it by the same broadcast, and a neighbour knows what it told
                 self.tell_halt(Some(from), now);
             }

@@ -77,6 +77,8 @@ pub struct Node<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, c
     pub(crate) topology_generation: u32,
     /// The latest halt there was.
     pub(crate) halt: Option<Halt>,
+    /// It has changed since [`Node::take_halt_news`].
+    pub(crate) halt_is_new: bool,
     /// No neighbour is silent for too long before this: the earliest of them when last looked, as they only ever move on.
     pub(crate) silence_at: LocalTicks,
 }
@@ -106,6 +108,7 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
             visits: [ScanId::default(); 2],
             topology_generation: 0,
             halt: None,
+            halt_is_new: false,
             silence_at: LocalTicks::MAX,
         }
     }

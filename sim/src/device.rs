@@ -3,8 +3,11 @@
 //! - **Walk:** the world's calls, one by one, to the device's. **Clause:** `[APP-01]`.
 
 use crate::endpoint::Endpoint;
+use firmware_app::kind::{PORTS_MAX, Service};
+use firmware_app::motion::{MotionService, MotionTraits};
 use firmware_app::{Device, Kind};
 use fixed_math::time::LocalTicks;
+use osap_maxl::device::{BeatTraits, DeviceRings};
 use osap_protocol::discovery::{BuildKind, UniqueId};
 use osap_protocol::header::Arrival;
 use osap_protocol::{DropCause, GatewayIndex};
@@ -20,8 +23,13 @@ pub const SIM_GATEWAYS: usize = 16;
 /// The longest message that its echo port takes, bytes.
 pub const SIM_MESSAGE_BYTES: usize = 4096;
 
+/// Its beat: 64 µs by a counter of 1 MHz.
+const BEAT: BeatTraits = BeatTraits { period_log2: 6, nominal_cycles: 64 };
+/// What its motion port says.
+const MOTION: MotionTraits = MotionTraits { beat_us: 64, channels: 1, has_phases: false };
+
 /// A simulated device.
-pub type SimDevice = Device<SIM_SLOTS, SIM_PACKET_BYTES, SIM_GATEWAYS, 4, SIM_MESSAGE_BYTES>;
+pub type SimDevice = Device<SIM_SLOTS, SIM_PACKET_BYTES, SIM_GATEWAYS, PORTS_MAX, SIM_MESSAGE_BYTES>;
 
 /// A simulated device of `kind` with `gateways`, in order of their indices.
 ///
@@ -36,7 +44,12 @@ pub fn sim_device(
     gateways: &[GatewayConfig],
 ) -> Box<SimDevice> {
     let device = SimDevice::new(kind, unique_id, boot_epoch, BuildKind::Simulated, name);
-    let mut device = Box::new(device.expect("three ports in four places"));
+    let mut device = Box::new(device.expect("as many ports as a kind has"));
+    if kind.port_of(Service::Motion).is_some() {
+        // tracks want memory for as long as there is a device, which in a simulation is as long as the process runs
+        let (motion, interpolator) = Box::leak(Box::new(DeviceRings::new())).split(BEAT);
+        device.set_motion(MotionService::new(motion, MOTION).played_here(interpolator));
+    }
     for gateway in gateways {
         device.node_mut().add_gateway(*gateway).expect("at most SIM_GATEWAYS gateways");
     }

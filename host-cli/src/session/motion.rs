@@ -119,6 +119,7 @@ impl fmt::Display for RefusalText<'_> {
             MotionRefusal::Order { start_steps, end_steps } => {
                 write!(f, "{} µs is no start for what ends at {} µs", us(start_steps), us(end_steps))
             }
+            MotionRefusal::Busy => write!(f, "it is not done with what was asked before. Ask again"),
             MotionRefusal::Node { operation, operand } => {
                 write!(f, "a node of operation {operation} cannot have {operand} as a source or operand")
             }

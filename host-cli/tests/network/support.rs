@@ -12,7 +12,7 @@ use std::sync::{Arc, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-type Motor = Device<16, 256, 1, 4, 4096>;
+type Motor = Device<16, 256, 1, 5, 4096>;
 
 /// The device's only gateway.
 pub(crate) fn gateway() -> GatewayIndex {

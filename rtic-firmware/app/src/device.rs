@@ -12,9 +12,9 @@
 //! use fixed_math::time::LocalTicks;
 //! use osap_protocol::discovery::{BuildKind, UniqueId};
 //!
-//! // 16 slots of 256 bytes, 1 gateway, 4 ports, messages of up to 1024 bytes
+//! // 16 slots of 256 bytes, 1 gateway, 5 ports, messages of up to 1024 bytes
 //! let mut motor =
-//!     Device::<16, 256, 1, 4, 1024>::new(&kind::MOTOR, UniqueId([1; 12]), 1, BuildKind::Firmware, "a").unwrap();
+//!     Device::<16, 256, 1, 5, 1024>::new(&kind::MOTOR, UniqueId([1; 12]), 1, BuildKind::Firmware, "a").unwrap();
 //! motor.run(LocalTicks::ZERO);
 //! assert_eq!(motor.node().identity().type_name, "motor");
 //! // no gateway is open and no packet waits; what is due is that it settles as the root of its own time
@@ -22,6 +22,7 @@
 //! ```
 
 use crate::kind::Kind;
+use crate::motion::MotionService;
 use crate::services::Services;
 use fixed_math::time::LocalTicks;
 use osap_protocol::discovery::{BuildKind, UniqueId};
@@ -72,6 +73,11 @@ impl<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, const PORTS:
             node.add_port(port.config()).ok_or(TooManyPorts { need: kind.ports.len() + 1, have: PORTS })?;
         }
         Ok(Self { node, services: Services::new(kind) })
+    }
+
+    /// As [`Services::set_motion`].
+    pub fn set_motion(&mut self, motion: MotionService) {
+        self.services.set_motion(motion);
     }
 
     /// The node for the routing task and the services for the task below it.
@@ -174,7 +180,7 @@ mod tests {
     use osap_protocol::{RouteBuf, Step};
     use osap_runtime::{GatewayConfig, Stamps};
 
-    type Motor = Device<16, 256, 1, 4, 1024>;
+    type Motor = Device<16, 256, 1, 5, 1024>;
 
     const LINK: GatewayIndex = GatewayIndex::new(0).unwrap();
     const LINK_CONFIG: GatewayConfig = GatewayConfig {

@@ -16,6 +16,8 @@ pub enum Service {
     Stream,
     /// Keeps the serving task busy, `[APP-10]`.
     Spin,
+    /// Plays tracks, `[MOT-01]`.
+    Motion,
 }
 
 impl Service {
@@ -26,6 +28,7 @@ impl Service {
             Self::Echo => "echo",
             Self::Stream => "stream",
             Self::Spin => "spin",
+            Self::Motion => osap_protocol::motion::PORT_TYPE,
         }
     }
 }
@@ -76,10 +79,13 @@ const SPIN: PortEntry = PortEntry { service: Service::Spin, packet_hold_max: 1 }
 /// A hub's slots are for the packets of others.
 const STREAM_OF_HUB: PortEntry = PortEntry { packet_hold_max: 2, ..STREAM };
 
+/// A message of points for each axis may wait, and questions beside them.
+const MOTION: PortEntry = PortEntry { service: Service::Motion, packet_hold_max: 6 };
+
 /// Forwards between many links.
 pub const HUB: Kind = Kind { type_name: "hub", version: [0, 1, 0], ports: &[ECHO, STREAM_OF_HUB, SPIN] };
 /// Drives a motor.
-pub const MOTOR: Kind = Kind { type_name: "motor", version: [0, 1, 0], ports: &[ECHO, STREAM, SPIN] };
+pub const MOTOR: Kind = Kind { type_name: "motor", version: [0, 2, 0], ports: &[ECHO, STREAM, SPIN, MOTION] };
 /// Measures a force.
 pub const LOAD_CELL: Kind = Kind { type_name: "loadcell", version: [0, 1, 0], ports: &[ECHO, STREAM, SPIN] };
 /// Heats and measures a temperature.
@@ -88,6 +94,9 @@ pub const HEATER: Kind = Kind { type_name: "heater", version: [0, 1, 0], ports: 
 pub const CAMERA: Kind = Kind { type_name: "camera", version: [0, 1, 0], ports: &[ECHO, STREAM, SPIN] };
 /// All of them.
 pub const KINDS: [Kind; 5] = [HUB, MOTOR, LOAD_CELL, HEATER, CAMERA];
+
+/// Most ports that one of them has, the netresponder's included.
+pub const PORTS_MAX: usize = 5;
 
 /// The same without their ports, for an image that is a node and nothing else.
 pub const WITHOUT_PORTS: [Kind; KINDS.len()] = {
@@ -104,14 +113,20 @@ pub const WITHOUT_PORTS: [Kind; KINDS.len()] = {
 mod tests {
     use super::*;
 
+    #[test]
+    fn the_most_ports_are_stated() {
+        assert_eq!(KINDS.map(|kind| kind.ports.len() + 1).into_iter().max(), Some(PORTS_MAX));
+    }
+
     /// `[APP-01]`: the ports stand where the specification says, and no service stands twice.
     #[test]
-    fn every_kind_has_echo_stream_and_spin_on_ports_1_to_3() {
+    fn every_kind_has_echo_stream_and_spin_on_ports_1_to_3_and_motors_motion_on_4() {
+        assert_eq!(MOTOR.port_of(Service::Motion), PortIndex::new(4));
         for kind in KINDS {
             assert_eq!(kind.port_of(Service::Echo), PortIndex::new(1), "{}", kind.type_name);
             assert_eq!(kind.port_of(Service::Stream), PortIndex::new(2), "{}", kind.type_name);
             assert_eq!(kind.port_of(Service::Spin), PortIndex::new(3), "{}", kind.type_name);
-            assert_eq!(kind.ports.len(), 3);
+            assert_eq!(kind.ports.len(), if kind.port_of(Service::Motion).is_some() { 4 } else { 3 });
         }
     }
 }

@@ -13,6 +13,7 @@ pub mod echo;
 pub mod kind;
 pub mod link;
 pub mod lock;
+pub mod motion;
 pub mod report;
 pub mod routing;
 pub mod services;

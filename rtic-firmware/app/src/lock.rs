@@ -101,7 +101,7 @@ mod tests {
     use osap_protocol::{GatewayIndex, RouteBuf, Step};
     use osap_runtime::{GatewayConfig, Identity, Node, Stamps};
 
-    type TestNode = Node<4, 128, 1, 4>;
+    type TestNode = Node<4, 128, 1, 5>;
 
     /// Counts how often the node is locked and the routing task woken, and fails where a lock is taken within a lock.
     struct Counting {

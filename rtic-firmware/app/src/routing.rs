@@ -11,7 +11,7 @@
 //! use fixed_math::time::LocalTicks;
 //! use osap_protocol::discovery::{BuildKind, UniqueId};
 //!
-//! let motor = Device::<8, 256, 1, 4, 1024>::new(&kind::MOTOR, UniqueId([1; 12]), 1, BuildKind::Firmware, "a").unwrap();
+//! let motor = Device::<8, 256, 1, 5, 1024>::new(&kind::MOTOR, UniqueId([1; 12]), 1, BuildKind::Firmware, "a").unwrap();
 //! let (mut node, _services) = motor.into_parts();
 //! let next = route(&mut node, &mut (), None, LocalTicks::ZERO); // no links
 //! assert_eq!((next.wake.as_us(), next.serve), (WAKE_US_MAX, false));
@@ -145,7 +145,7 @@ pub fn forward<const SLOTS: usize, const BYTES: usize, const GATEWAYS: usize, co
 ) -> Next {
     node.run(now);
     links.transmit(node, now);
-    let services_due = services_wake.is_some_and(|at| at <= now);
+    let services_due = services_wake.is_some_and(|at| at <= now) | node.take_halt_news();
     let is_waited_for = |port| PortIndex::new(port).is_some_and(|port| node.waiting(port) > 0);
     let mut services = (1..).take(PORTS - 1);
     // what is past could not be done now, for want of room on a wire or of time for a service: what frees it runs this again

@@ -12,17 +12,18 @@
 //! use osap_runtime::{Identity, Node};
 //!
 //! let identity = Identity { type_name: "motor", unique_id: UniqueId([1; 12]), boot_epoch: 1, version: [0, 1, 0], build: BuildKind::Host };
-//! let mut node = Node::<8, 256, 1, 4>::new(identity, "m");
+//! let mut node = Node::<8, 256, 1, 5>::new(identity, "m");
 //! let mut services = Services::<256, 1024>::new(&kind::MOTOR);
 //! assert!(!services.serve_next(&mut node, LocalTicks::ZERO)); // nothing waits
 //! ```
 
 use crate::echo::Echo;
 use crate::kind::{Kind, Service};
+use crate::motion::MotionService;
 use crate::spin;
 use crate::stream::Stream;
 use fixed_math::time::LocalTicks;
-use osap_protocol::PortIndex;
+use osap_protocol::{DropCause, PortIndex};
 use osap_runtime::{Delivery, Mailbox};
 
 /// The services of one kind of device, for packets of up to `BYTES` bytes and messages of up to `MESSAGE_BYTES` bytes.
@@ -31,6 +32,8 @@ pub struct Services<const BYTES: usize, const MESSAGE_BYTES: usize> {
     kind: &'static Kind,
     echo: Echo<MESSAGE_BYTES>,
     stream: Stream,
+    /// Of a device that has an interpolator.
+    motion: Option<MotionService>,
     /// Payload of the packet in work.
     scratch: [u8; BYTES],
 }
@@ -39,7 +42,12 @@ impl<const BYTES: usize, const MESSAGE_BYTES: usize> Services<BYTES, MESSAGE_BYT
     /// The services of `kind`, with nothing under way.
     #[must_use]
     pub const fn new(kind: &'static Kind) -> Self {
-        Self { kind, echo: Echo::new(), stream: Stream::new(), scratch: [0; BYTES] }
+        Self { kind, echo: Echo::new(), stream: Stream::new(), motion: None, scratch: [0; BYTES] }
+    }
+
+    /// Gives a kind with a motion port what answers there. Without it that port refuses.
+    pub fn set_motion(&mut self, motion: MotionService) {
+        self.motion = Some(motion);
     }
 
     /// What kind of device it is.
@@ -82,14 +90,18 @@ impl<const BYTES: usize, const MESSAGE_BYTES: usize> Services<BYTES, MESSAGE_BYT
     /// Services that have something to send at `now`.
     #[must_use]
     pub fn due(&self, now: LocalTicks) -> usize {
-        let due = [self.echo.next_wake(), self.stream.next_wake()];
-        due.into_iter().flatten().filter(|at| *at <= now).count()
+        self.wakes().into_iter().flatten().filter(|at| *at <= now).count()
     }
 
     /// When a service has something to do even if no packet comes.
     #[must_use]
     pub fn next_wake(&self) -> Option<LocalTicks> {
-        [self.echo.next_wake(), self.stream.next_wake()].into_iter().flatten().min()
+        self.wakes().into_iter().flatten().min()
+    }
+
+    fn wakes(&self) -> [Option<LocalTicks>; 3] {
+        let motion = self.kind.port_of(Service::Motion).and(self.motion.as_ref()).map(MotionService::next_wake);
+        [self.echo.next_wake(), self.stream.next_wake(), motion]
     }
 
     fn accept(&mut self, service: Service, node: &mut impl Mailbox, delivery: Delivery, now: LocalTicks) {
@@ -97,6 +109,10 @@ impl<const BYTES: usize, const MESSAGE_BYTES: usize> Services<BYTES, MESSAGE_BYT
             Service::Echo => self.echo.accept(node, delivery, &mut self.scratch, now),
             Service::Stream => self.stream.accept(node, delivery, BYTES, now),
             Service::Spin => spin::accept(node, delivery, now),
+            Service::Motion => match &mut self.motion {
+                Some(motion) => motion.accept(node, delivery, &mut self.scratch, now),
+                None => node.release(delivery, Some(DropCause::PortRefused), now),
+            },
         }
     }
 
@@ -105,6 +121,11 @@ impl<const BYTES: usize, const MESSAGE_BYTES: usize> Services<BYTES, MESSAGE_BYT
             Service::Echo => self.echo.poll(node, now),
             Service::Stream => self.stream.poll(node, port, &mut self.scratch, now),
             Service::Spin => {}
+            Service::Motion => {
+                if let Some(motion) = &mut self.motion {
+                    motion.poll(node, port, now);
+                }
+            }
         }
     }
 }

@@ -271,7 +271,7 @@ mod tests {
         use crate::{Device, kind};
         use osap_protocol::discovery::{BuildKind, TimeSettings, UniqueId};
         let device = || {
-            let device = Device::<8, 64, 1, 4, 64>::new(&kind::MOTOR, UniqueId([1; 12]), 1, BuildKind::Firmware, "a");
+            let device = Device::<8, 64, 1, 5, 64>::new(&kind::MOTOR, UniqueId([1; 12]), 1, BuildKind::Firmware, "a");
             device.unwrap().into_parts().0
         };
         let (mut flash, mut node) = (Flash::new(), device());

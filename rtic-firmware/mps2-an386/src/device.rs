@@ -27,7 +27,7 @@ const SLOTS: usize = 32;
 /// Bytes of a slot.
 const BYTES: usize = MTU_BYTES as usize;
 /// The netresponder, echo, stream and spin.
-const PORTS: usize = 4;
+const PORTS: usize = firmware_app::kind::PORTS_MAX;
 /// Bytes of the longest message that echo takes.
 const MESSAGE_BYTES: usize = 1024;
 /// Bytes of the longest packet and its check.

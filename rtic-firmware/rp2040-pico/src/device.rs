@@ -27,7 +27,7 @@ const SLOTS: usize = 16;
 const PACKET_BYTES: usize = 256;
 const GATEWAYS: usize = 3;
 /// The netresponder, and the services of a kind.
-const PORTS: usize = if cfg!(feature = "services") { 4 } else { 1 };
+const PORTS: usize = if cfg!(feature = "services") { kind::PORTS_MAX } else { 1 };
 const MESSAGE_BYTES: usize = 1024;
 const FRAME_BYTES: usize = PACKET_BYTES + Check::Crc16.len();
 

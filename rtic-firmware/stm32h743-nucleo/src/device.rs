@@ -31,7 +31,7 @@ const BYTES: usize = MTU_BYTES as usize;
 /// The UARTs and USB.
 const GATEWAYS: usize = UART_COUNT + 1;
 /// The netresponder, echo, stream and spin.
-const PORTS: usize = 4;
+const PORTS: usize = firmware_app::kind::PORTS_MAX;
 /// Bytes of the longest message that echo takes.
 const MESSAGE_BYTES: usize = 1024;
 /// Bytes of the longest packet and its check.
