@@ -82,8 +82,8 @@ pub struct Board {
     pub pace: pace::Pace,
     /// Steps and directions, all low.
     pub steps: outputs::StepPins,
-    /// Coils, without current.
-    pub phases: outputs::PhasePins,
+    /// Coils, without current until they are started.
+    pub phases: outputs::Phases,
     /// Motor drivers, off.
     pub enable: outputs::Enable,
     /// Silicon's number: the flash chip's 64 bits behind four letters.

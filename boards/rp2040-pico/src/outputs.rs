@@ -46,9 +46,8 @@ const FUNCTION_SIO: u8 = 5;
 const FUNCTION_PWM: u8 = 4;
 
 /// Drives all pins of this module: low, off, without current. Behind the reset of SIO's pins, the pads and the PWM.
-pub(crate) fn start() -> (StepPins, PhasePins, Enable) {
+pub(crate) fn start() -> (StepPins, Phases, Enable) {
     const OUTPUTS: u32 = StepPins::ALL | 1 << ENABLE_PIN;
-    let phases = PhasePins::start();
     // SAFETY: called once, by `Board::init`, which owns SIO, IO_BANK0 and the pads and gives these pins to nobody else; the set and clear
     // registers leave the other pins, and every function number is one that the pin has
     unsafe {
@@ -59,7 +58,7 @@ pub(crate) fn start() -> (StepPins, PhasePins, Enable) {
         (0..32).filter(|pin| OUTPUTS >> pin & 1 == 1).for_each(|pin| connect(pin, FUNCTION_SIO));
         COIL_PINS.into_iter().flatten().for_each(|pin| connect(pin, FUNCTION_PWM));
     }
-    (StepPins(()), phases, Enable(()))
+    (StepPins(()), Phases(()), Enable(()))
 }
 
 /// Steps and directions.
@@ -128,12 +127,13 @@ impl Enable {
     }
 }
 
-/// Currents of the two coils.
-pub struct PhasePins(());
+/// The two coils before their first current: both bridges let go. Where no motor is driven by phases they stay so, and the PWM costs nothing.
+pub struct Phases(());
 
-impl PhasePins {
+impl Phases {
     /// Starts both slices, without current.
-    fn start() -> Self {
+    #[must_use]
+    pub fn start(self) -> PhasePins {
         for slice in COIL_SLICES {
             let slice = registers().ch(slice);
             // SAFETY: TOP takes 16 bits, CC two of them
@@ -145,9 +145,14 @@ impl PhasePins {
         let enable = (registers().en().as_ptr() as usize | SET_ALIAS) as *mut u32;
         // SAFETY: the alias sets bits and leaves the other slices'; one store starts both coils' slices at the same cycle
         unsafe { enable.write_volatile(COIL_SLICES.iter().fold(0, |bits, slice| bits | 1 << slice)) };
-        Self(())
+        PhasePins(())
     }
+}
 
+/// Currents of the two coils.
+pub struct PhasePins(());
+
+impl PhasePins {
     /// Gives each coil a current, in Q15 of [`CURRENT_FULL`]. Size and sign of one coil change together with the next wrap, within 32 µs; both
     /// coils with the same wrap, unless one falls between the two stores.
     #[inline]
