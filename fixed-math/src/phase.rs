@@ -2,7 +2,7 @@
 //!
 //! - **Walk:** a position at a beat → [`PhaseWindow::phase`] → [`Coils::at`] → two pairs of PWM levels.
 //! - **Invariants:** the angle follows from the position by two shifts, so nothing accumulates and positions that wrap do no harm. Sines
-//!   are within 1.02 of 32767 times the exact ones.
+//!   are within 1.01 of 32767 times the exact ones.
 //! - **Context:** a beat; in line about 8 cycles of a Cortex-M0+ for the angle and 75 for both currents.
 //!
 //! **The table** holds a quarter of a wave: 1025 values of 16 bits and a spare one for the 4096 phases of a quarter, with a straight line over each four.

@@ -166,7 +166,7 @@ impl core::error::Error for ServoError {}
 pub struct SetPoint {
     /// LSB.
     pub position: i32,
-    /// Any unit; the scale and the gain are matched to it.
+    /// Any unit, such as the spline's 2^−4 LSB an interval; the scale and the gain are matched to it.
     pub velocity: i32,
     /// Any unit, likewise.
     pub acceleration: i32,

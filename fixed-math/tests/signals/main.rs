@@ -1,5 +1,5 @@
 //! Signals of tracks against exact arithmetic: ramps, levels, logic, steps, phases, a servo and the motor that is not there.
-#![expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the truth is kept in longer integers")]
+#![expect(clippy::cast_possible_truncation, reason = "the truth is kept in longer integers")]
 
 mod levels;
 mod logic;
