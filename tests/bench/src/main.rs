@@ -1,11 +1,12 @@
 //! Benchmarks, each a subcommand of `cargo xtask bench`: figures with their conditions, not tests.
 //!
 //! `runtime`: µs of CPU a message over 0 to 3 links. `overload`: commands beside telemetry at 120 % of a link, in virtual time. `scan`: a
-//! thousand nodes with loops. `clock`: how well clocks agree, in virtual time. `clock-pty`: a host's clock over a
+//! thousand nodes with loops. `motion-error`: how exact splines are. `clock`: how well clocks agree, in virtual time. `clock-pty`: a host's clock over a
 //! real pseudo-terminal.
 #![forbid(unsafe_code)]
 
 mod clock;
+mod motion;
 mod overload;
 #[cfg(unix)]
 mod pty;
@@ -74,6 +75,12 @@ enum Bench {
         #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
         skew_ppb: i32,
     },
+    /// Evaluators of splines: errors against the exact value and against double precision, time a call.
+    MotionError {
+        /// The figures as JSON.
+        #[arg(long)]
+        json: bool,
+    },
     /// A scan of a random network with loops: virtual time, packets, host time.
     Scan {
         /// Devices.
@@ -94,6 +101,7 @@ fn main() -> ExitCode {
         Some(Bench::Runtime { messages }) => runtime::run(messages),
         Some(Bench::Overload { seconds }) => overload::run(seconds),
         Some(Bench::Scan { nodes, loops, seed }) => scan::run(nodes, loops, seed),
+        Some(Bench::MotionError { json }) => motion::error(json),
         Some(Bench::Clock { seeds, json, series }) => clock::run(seeds, &clock::Output::new(json, series)),
         #[cfg(unix)]
         Some(Bench::ClockPty { seconds, skew_ppb, json }) => pty::run(pty::Options { seconds, skew_ppb, json }),
@@ -103,6 +111,7 @@ fn main() -> ExitCode {
             runtime::run(2_000_000);
             overload::run(10);
             scan::run(1_000, 200, 1);
+            motion::error(false);
             clock::run(30, &clock::Output::new(false, None));
             #[cfg(unix)]
             pty::run(pty::Options { seconds: 60, skew_ppb: 40_000, json: false });

@@ -1,0 +1,6 @@
+//! Motion: how exact the evaluators of splines are and what they cost here, beside those that they are to replace.
+
+mod baseline;
+mod evaluators;
+
+pub(crate) use evaluators::run as error;
