@@ -15,6 +15,7 @@ extern crate std;
 pub mod axis;
 pub mod beat;
 pub mod clock;
+pub mod device;
 pub mod feeder;
 pub mod player;
 pub mod tracks;

@@ -73,16 +73,16 @@ struct Segment {
     cubic: Cubic,
     knot: NetTime,
     interval: IntervalLog2,
-    /// The last that was played.
+    /// The last that was played; the origin where none was, so that a leap over the series' start is one.
     at: NetTime,
 }
 
 impl Segment {
     /// Rests at `position`; its first knot is one interval before `start`.
-    fn resting(position: i32, start: NetTime, interval: IntervalLog2, at: NetTime) -> Self {
+    fn resting(position: i32, start: NetTime, interval: IntervalLog2) -> Self {
         let knot = start.shifted(-2 * i64::from(interval.steps()));
         let newest = Knot::resting(position);
-        Self { points: [position; 4], newest, cubic: constant(position), knot, interval, at }
+        Self { points: [position; 4], newest, cubic: constant(position), knot, interval, at: NetTime::ZERO }
     }
 
     /// Goes on to the next knot, with `next` as the newest point.
@@ -134,7 +134,7 @@ impl<'a, const QUEUE: usize> Player<'a, QUEUE> {
             points_in,
             orders,
             events,
-            segment: Segment::resting(0, NetTime::ZERO, interval, NetTime::ZERO),
+            segment: Segment::resting(0, NetTime::ZERO, interval),
             brake: Brake::new(1, 1),
             policy: StarvedPolicy::Stop,
             state: PlayerState::Idle,
@@ -148,9 +148,15 @@ impl<'a, const QUEUE: usize> Player<'a, QUEUE> {
         self.state
     }
 
+    /// The four points of the present segment, oldest first, and the track time of the second. Between the second and the third the axis is.
+    #[must_use]
+    pub const fn points(&self) -> ([i32; 4], NetTime) {
+        (self.segment.points, self.segment.knot)
+    }
+
     /// The output at track time `at`, which is that of the beat.
     pub fn beat(&mut self, at: NetTime) -> Output {
-        self.take_orders(at);
+        self.take_orders();
         match self.state {
             PlayerState::Following | PlayerState::Stopping => self.go_on(at),
             _ => {}
@@ -165,21 +171,21 @@ impl<'a, const QUEUE: usize> Player<'a, QUEUE> {
         }
     }
 
-    fn take_orders(&mut self, at: NetTime) {
+    fn take_orders(&mut self) {
         let Some(order) = self.orders.peek().copied() else { return };
         match (order, self.state) {
             (Order::Start(_) | Order::Disarm, PlayerState::Stopping | PlayerState::Following) => return,
-            (Order::Start(start), _) => self.start(start, at),
+            (Order::Start(start), _) => self.start(start),
             (Order::Disarm, _) => self.state = PlayerState::Idle,
             (Order::Abandon, _) => self.abandon(),
         }
         let _taken = self.orders.dequeue();
     }
 
-    fn start(&mut self, start: Start, at: NetTime) {
+    fn start(&mut self, start: Start) {
         let Start { first, position, time, interval, brake, policy } = start;
         self.points_in.skip_to(first);
-        self.segment = Segment::resting(position, time, interval, at);
+        self.segment = Segment::resting(position, time, interval);
         (self.brake, self.policy) = (brake, policy);
         if self.state == PlayerState::Idle {
             self.origin = self.origin.wrapping_add(1);

@@ -13,6 +13,7 @@
 //! | GPIO18 | kind, bit 0 | GPIO19, GPIO20 | kind, bits 1 and 2 |
 //! | GPIO6 to GPIO13 | steps and directions | GPIO14 | enable of motor drivers |
 //! | GPIO2, GPIO3 | coil A | GPIO26, GPIO27 | coil B |
+//! | GPIO16, 17, 21, 22 | outputs of signals | GPIO15, GPIO28 | inputs that are read at a beat |
 //!
 //! The kind's pins are read once at start-up: open is 0, tied to 3.3 V is 1; the number is an index into `firmware_app::kind::KINDS`.
 #![no_std]
@@ -20,8 +21,10 @@
 
 pub mod clock;
 pub mod flash;
+pub mod motors;
 pub mod outputs;
 pub mod pace;
+pub mod signals;
 pub mod uart;
 pub mod usb;
 
@@ -86,6 +89,8 @@ pub struct Board {
     pub phases: outputs::Phases,
     /// Motor drivers, off.
     pub enable: outputs::Enable,
+    /// What follows signals, and inputs.
+    pub signals: signals::SignalPins,
     /// Silicon's number: the flash chip's 64 bits behind four letters.
     pub unique_id: [u8; 12],
     /// Number set by the kind's pins.
@@ -158,6 +163,7 @@ impl Board {
             steps,
             phases,
             enable,
+            signals: signals::start(),
             unique_id,
             straps,
             report,

@@ -13,7 +13,7 @@ use super::{
 };
 use crate::beat::BeatLock;
 use crate::clock::BeatClock;
-use crate::player::{Player, PlayerState};
+use crate::player::{Output, Player, PlayerState};
 use crate::tracks::{LevelPlayer, RampPlayer};
 use crate::triggers::{Reading, ReadingsIn, Trigger};
 use core::sync::atomic::Ordering;
@@ -49,6 +49,8 @@ pub struct BeatOutput {
     pub is_enabled: bool,
     /// Currents of the first axis' coils, Q15, where it is driven by phases.
     pub coils: Option<[i16; 2]>,
+    /// The first axis as of then, for a servo.
+    pub first: Output,
     /// Length of the period that begins with the next wrap, cycles.
     pub period_cycles: u32,
 }
@@ -100,6 +102,7 @@ pub struct Interpolator<'a> {
     triggers: [Watched; TRIGGERS],
     has_triggers: bool,
     nominal_cycles: u32,
+    inputs: [i32; INPUTS],
 }
 
 impl<'a> Interpolator<'a> {
@@ -131,6 +134,7 @@ impl<'a> Interpolator<'a> {
             triggers: [const { Watched { channel: 0, node: 0, trigger: None } }; TRIGGERS],
             has_triggers: false,
             nominal_cycles,
+            inputs: [0; INPUTS],
         }
     }
 
@@ -152,10 +156,14 @@ impl<'a> Interpolator<'a> {
         }
         let now = beat.grid + self.period;
         let track = self.clock.advance(now).time;
-        let mut inputs = [0; INPUTS];
+        let inputs = &mut self.inputs;
         for (index, axis) in self.axes.iter_mut().enumerate() {
             let told = &self.told.axes[index];
-            let (position, velocity, state) = axis.beat(track, index, &mut out);
+            let played = axis.beat(track, index, &mut out);
+            let Output { position, velocity, state, .. } = played;
+            if index == 0 {
+                out.first = played;
+            }
             inputs[2 * index] = position;
             inputs[2 * index + 1] = velocity;
             told.position.store(position, Ordering::Relaxed);
@@ -163,7 +171,7 @@ impl<'a> Interpolator<'a> {
             told.steps_late.store(axis.steps_late(), Ordering::Relaxed);
         }
         if self.has_nodes {
-            self.signals(track, &mut inputs, &mut out);
+            self.signals(track, &mut out);
         }
         if self.has_triggers {
             self.trigger(now, &mut sense);
@@ -202,14 +210,14 @@ impl<'a> Interpolator<'a> {
         }
     }
 
-    fn signals(&mut self, track: NetTime, inputs: &mut [i32; INPUTS], out: &mut BeatOutput) {
-        for (input, ramp) in inputs[INPUT_RAMPS..].iter_mut().zip(&mut self.ramps) {
+    fn signals(&mut self, track: NetTime, out: &mut BeatOutput) {
+        for (input, ramp) in self.inputs[INPUT_RAMPS..].iter_mut().zip(&mut self.ramps) {
             *input = ramp.value(track).unwrap_or(0);
         }
-        for (input, level) in inputs[INPUT_LEVELS..].iter_mut().zip(&mut self.levels) {
+        for (input, level) in self.inputs[INPUT_LEVELS..].iter_mut().zip(&mut self.levels) {
             *input = level.value(track).unwrap_or(0);
         }
-        let _saturated = self.graph.evaluate(inputs);
+        let _saturated = self.graph.evaluate(&self.inputs);
         for (index, node) in self.outputs.iter().enumerate() {
             let is_high = node.is_some_and(|node| self.graph.is_true(usize::from(node)).unwrap_or(false));
             out.outputs |= u8::from(is_high) << index;
@@ -226,10 +234,10 @@ impl<'a> Interpolator<'a> {
         }
     }
 
-    /// Position, velocity and acceleration of an axis as of the last beat, for a servo.
+    /// What nodes came to at the last beat: a servo's gains and torques may follow them.
     #[must_use]
-    pub fn player(&self, axis: usize) -> Option<&Player<'a, QUEUE>> {
-        self.axes.get(axis).map(|axis| &axis.player)
+    pub fn node(&self, index: usize) -> Option<i32> {
+        if self.has_nodes { self.graph.value(index) } else { None }
     }
 }
 
@@ -256,12 +264,12 @@ impl AxisOut<'_> {
     }
 
     #[inline]
-    fn beat(&mut self, track: NetTime, index: usize, out: &mut BeatOutput) -> (i32, i32, PlayerState) {
+    fn beat(&mut self, track: NetTime, index: usize, out: &mut BeatOutput) -> Output {
         let played = self.player.beat(track);
         let is_on = !matches!(played.state, PlayerState::Idle | PlayerState::Released);
         out.is_enabled |= is_on;
         if played.state == PlayerState::Idle {
-            return (played.position, 0, played.state);
+            return Output { velocity: 0, acceleration: 0, ..played };
         }
         match &mut self.stage {
             Stage::None => {}
@@ -286,6 +294,6 @@ impl AxisOut<'_> {
             }
             Stage::Phases(_) => {}
         }
-        (played.position, played.velocity, played.state)
+        played
     }
 }

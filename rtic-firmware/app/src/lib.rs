@@ -8,6 +8,7 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+pub mod beats;
 pub mod device;
 pub mod echo;
 pub mod kind;
@@ -17,6 +18,7 @@ pub mod motion;
 pub mod report;
 pub mod routing;
 pub mod services;
+pub mod servo;
 pub mod settings;
 pub mod spin;
 pub mod stream;

@@ -50,17 +50,24 @@ pub type PicoServices = firmware_app::Services<PACKET_BYTES, MESSAGE_BYTES>;
 #[cfg(not(feature = "services"))]
 pub type PicoServices = ();
 
-/// What stands in for interpolation.
-#[cfg(feature = "pace")]
-pub type PicoInterpolation = crate::interpolation::Interpolation;
-/// None of it.
-#[cfg(not(feature = "pace"))]
-pub struct PicoInterpolation;
+/// What the interpolating interrupt has.
+#[cfg(feature = "motion")]
+pub type PicoBeats = crate::interpolation::PicoBeats;
+/// It does not beat.
+#[cfg(not(feature = "motion"))]
+pub type PicoBeats = ();
 
-#[cfg(not(feature = "pace"))]
-impl PicoInterpolation {
-    /// Leaves the beat standing still.
-    const fn start(_: board_rp2040_pico::pace::Pace) -> Self {
+/// What both halves of motion share.
+#[cfg(feature = "motion")]
+pub type MotionRings = osap_maxl::device::DeviceRings;
+/// Nothing.
+#[cfg(not(feature = "motion"))]
+pub struct MotionRings;
+
+#[cfg(not(feature = "motion"))]
+impl MotionRings {
+    /// None.
+    pub const fn new() -> Self {
         Self
     }
 }
@@ -200,11 +207,11 @@ pub struct Parts {
     /// Idle's own.
     pub keeper: Keeper,
     /// Interpolation's own.
-    pub interpolation: PicoInterpolation,
+    pub beats: PicoBeats,
 }
 
 /// Starts the board and makes the device.
-pub fn start(peripherals: Peripherals) -> Parts {
+pub fn start(peripherals: Peripherals, rings: &'static mut MotionRings) -> Parts {
     let board = Board::init(peripherals, cfg!(feature = "usb"));
     let (keeper, name, boots) = settings();
     let kind = &KINDS[usize::from(board.straps) % KINDS.len()];
@@ -212,6 +219,15 @@ pub fn start(peripherals: Peripherals) -> Parts {
     let device = Device::<_, _, _, _, MESSAGE_BYTES>::new(kind, id, boots, BuildKind::Firmware, &name)
         .expect("as many ports as the kinds have");
     let (mut node, services) = device.into_parts();
+    #[cfg(feature = "motion")]
+    let (services, interpolator) = {
+        let (motion, interpolator) = rings.split(crate::interpolation::BEAT);
+        let mut services = services;
+        services.set_motion(firmware_app::motion::MotionService::new(motion, crate::interpolation::MOTION));
+        (services, interpolator)
+    };
+    #[cfg(not(feature = "motion"))]
+    let _nothing_in_it = rings;
     #[cfg(not(feature = "services"))]
     let services = drop(services);
     #[cfg(feature = "report")]
@@ -232,7 +248,13 @@ pub fn start(peripherals: Peripherals) -> Parts {
     };
     #[cfg(feature = "settings")]
     keeper.restore(&mut node);
-    let interpolation = PicoInterpolation::start(board.pace);
+    #[cfg(feature = "motion")]
+    let beats = {
+        let Board { pace, steps, phases, enable, signals, .. } = board;
+        crate::interpolation::beats(crate::interpolation::Parts { pace, steps, phases, enable, signals }, interpolator)
+    };
+    #[cfg(not(feature = "motion"))]
+    let beats = ();
     #[cfg(feature = "watchdog")]
     let watchdog = {
         let mut watchdog = board.watchdog;
@@ -244,7 +266,7 @@ pub fn start(peripherals: Peripherals) -> Parts {
         #[cfg(feature = "watchdog")]
         watchdog,
     };
-    Parts { node, links, routing, services, keeper, interpolation }
+    Parts { node, links, routing, services, keeper, beats }
 }
 
 /// The settings' keeper, the name in them and which start this is.

@@ -11,8 +11,7 @@
 //! | serve       | `SW1_IRQ`      | 1        | -        | -           | node        | -                       | 420         |
 //! | idle        | -              | 0        | -        | -           | node        | -                       | 420         |
 //!
-//! Priority 4 is interpolation's. Until there is motion its task is there with the feature `pace` only, with a load of that size in its place
-//! (`interpolation`); the table counts it always. Bytes and their stamps are moved by DMA, so that no priority is urgent for them. The node is
+//! Priority 4 is interpolation's: four axes, of which nobody below can delay an edge (`interpolation`). Bytes and their stamps are moved by DMA, so that no priority is urgent for them. The node is
 //! held by `serve` for single calls; a service works without it.
 //!
 //! `cargo xtask hil cycles` measures, `cargo xtask hil rta` calculates response times from this table; the cycles are the most seen, and a tenth
@@ -33,7 +32,7 @@ mod bare;
 mod device;
 #[cfg(feature = "report")]
 mod handlers;
-#[cfg(feature = "pace")]
+#[cfg(feature = "motion")]
 mod interpolation;
 
 #[cfg(not(feature = "report"))]
@@ -48,7 +47,7 @@ mod app {
     #[cfg(feature = "services")]
     use crate::device::SharedNode;
     use crate::device::{
-        Keeper, PicoInterpolation, PicoLinks, PicoNode, PicoServices, ROUTE, Routing, SERVE, wake_routing,
+        Keeper, MotionRings, PicoBeats, PicoLinks, PicoNode, PicoServices, ROUTE, Routing, SERVE, wake_routing,
     };
     use board_rp2040_pico::clock::Alarm;
     use board_rp2040_pico::uart;
@@ -69,15 +68,15 @@ mod app {
         routing: Routing,
         services: PicoServices,
         keeper: Keeper,
-        interpolation: PicoInterpolation,
+        beats: PicoBeats,
     }
 
-    #[init]
+    #[init(local = [rings: MotionRings = MotionRings::new()])]
     fn init(cx: init::Context) -> (Shared, Local) {
-        let crate::device::Parts { node, links, routing, services, keeper, interpolation } =
-            crate::device::start(cx.device);
+        let crate::device::Parts { node, links, routing, services, keeper, beats } =
+            crate::device::start(cx.device, cx.local.rings);
         wake_routing();
-        let local = Local { routing, services, keeper, interpolation };
+        let local = Local { routing, services, keeper, beats };
         (Shared { node, links, due: None }, local)
     }
 
@@ -90,10 +89,10 @@ mod app {
         }
     }
 
-    #[cfg(feature = "pace")]
-    #[task(binds = PWM_IRQ_WRAP, priority = 4, local = [interpolation])]
+    #[cfg(feature = "motion")]
+    #[task(binds = PWM_IRQ_WRAP, priority = 4, local = [beats])]
     fn interpolate(cx: interpolate::Context) {
-        cx.local.interpolation.beat();
+        cx.local.beats.beat();
     }
 
     #[task(binds = DMA_IRQ_0, priority = 3)]

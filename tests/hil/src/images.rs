@@ -10,8 +10,8 @@ use std::process::Command;
 pub enum Image {
     /// RP2040, co-simulated.
     Rp2040Pico,
-    /// The same with a beat of 15.6 kHz at the highest priority.
-    Rp2040PicoPace,
+    /// The same whose first axis is a motor that closes its loop by a simulated encoder.
+    Rp2040PicoServo,
     /// Cortex-M7 in QEMU.
     Mps2An500,
 }
@@ -22,14 +22,14 @@ impl Image {
     pub const fn name(self) -> &'static str {
         match self {
             Self::Rp2040Pico => "rp2040-pico",
-            Self::Rp2040PicoPace => "rp2040-pico+pace",
+            Self::Rp2040PicoServo => "rp2040-pico+servo",
             Self::Mps2An500 => "mps2-an500",
         }
     }
 
     const fn target(self) -> &'static str {
         match self {
-            Self::Rp2040Pico | Self::Rp2040PicoPace => "thumbv6m-none-eabi",
+            Self::Rp2040Pico | Self::Rp2040PicoServo => "thumbv6m-none-eabi",
             Self::Mps2An500 => "thumbv7em-none-eabihf",
         }
     }

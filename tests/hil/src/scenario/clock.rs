@@ -98,7 +98,7 @@ pub(super) fn run(context: &Context, ms: u64) -> Result<Report, Failure> {
 }
 
 fn start(context: &Context, load: Load) -> Result<Bench, Failure> {
-    let image = if load == Load::Full { Image::Rp2040PicoPace } else { Image::Rp2040Pico };
+    let image = Image::Rp2040Pico;
     let elf = context.places.image(image)?;
     Bench::build(&context.places, context.seed, &[HostPort::uart("host")], false, |cosim, _| wire_up(cosim, &elf))
 }

@@ -1,0 +1,145 @@
+//! The beat: edges first, then what follows at the next.
+//!
+//! - **Walk:** a board's [`Pace`] wraps → its interrupt → [`Beats::beat`] → the board's [`Motors`].
+//! - **Invariants:** what the last beat calculated is put out before anything else, in one store, so that an edge is as late as the
+//!   interrupt's entry, and by no more. A step's pulse lasts from there to the end of the same call.
+//! - **Context:** the highest-priority task, which nothing interrupts and which waits for nobody.
+//! - **Clauses:** `[MOT-13]`, `[MOT-14]`. Boards implement both traits, as they do [`Wire`](crate::Wire): decision 5.
+
+use fixed_math::time::LocalTicks;
+use osap_maxl::device::{AXES, BeatOutput, Interpolator};
+
+/// A board's beat.
+pub trait Pace {
+    /// Ends the interrupt.
+    fn clear(&mut self);
+
+    /// When the last wrap was.
+    fn wrap_stamp(&mut self) -> LocalTicks;
+
+    /// Length of the period that begins with the next wrap, cycles.
+    fn set_period(&mut self, cycles: u32);
+}
+
+/// A board's pins that move motors.
+pub trait Motors {
+    /// Step pin of each axis, as a bit of [`Motors::write`].
+    const STEPS: [u32; AXES];
+    /// Direction pin of each axis.
+    const DIRECTIONS: [u32; AXES];
+
+    /// Makes the pins in `clear` low and those in `set` high, which wins, with one store.
+    fn write(&mut self, set: u32, clear: u32);
+
+    /// Switches the drivers on or off.
+    fn enable(&mut self, on: bool);
+
+    /// Pins that follow signals: bit n is output n.
+    fn outputs(&mut self, levels: u8);
+
+    /// Currents of the two coils of a motor that is driven by phases, Q15.
+    fn coils(&mut self, currents: [i16; 2]);
+
+    /// Reads a channel; one that is not there reads 0.
+    fn sense(&mut self, channel: u8) -> i32;
+}
+
+/// A simulated motor, or whatever else makes currents of where the first axis should be.
+pub trait Follower {
+    /// Currents for the next beat, of what is to be put out then.
+    fn follow(&mut self, out: &BeatOutput, interpolator: &Interpolator<'_>) -> [i16; 2];
+
+    /// Where the motor is, by its encoder.
+    fn measured(&self) -> i32;
+}
+
+/// No servo.
+impl Follower for () {
+    fn follow(&mut self, out: &BeatOutput, _: &Interpolator<'_>) -> [i16; 2] {
+        out.coils.unwrap_or_default()
+    }
+
+    fn measured(&self) -> i32 {
+        0
+    }
+}
+
+/// Channel of a follower's encoder; those of the board come after it.
+pub const CHANNEL_ENCODER: u8 = 0;
+
+/// Levels of all combinations of axes: bit n of the index is axis n.
+const fn levels(pins: [u32; AXES]) -> [u32; 1 << AXES] {
+    let mut levels = [0; 1 << AXES];
+    let mut index = 0;
+    while index < levels.len() {
+        let mut axis = 0;
+        while axis < AXES {
+            if index >> axis & 1 == 1 {
+                levels[index] |= pins[axis];
+            }
+            axis += 1;
+        }
+        index += 1;
+    }
+    levels
+}
+
+/// All that the interrupt has.
+pub struct Beats<P, M, F> {
+    interpolator: Interpolator<'static>,
+    pace: P,
+    motors: M,
+    follower: F,
+    /// For the next beat: pins that will be high, of all that there are.
+    set: u32,
+    /// Of them, steps.
+    steps: u32,
+    coils: [i16; 2],
+    has_coils: bool,
+    is_enabled: bool,
+    outputs: u8,
+}
+
+impl<P: Pace, M: Motors, F: Follower> Beats<P, M, F> {
+    const STEPS: [u32; 1 << AXES] = levels(M::STEPS);
+    const DIRECTIONS: [u32; 1 << AXES] = levels(M::DIRECTIONS);
+    const ALL: u32 = Self::STEPS[(1 << AXES) - 1] | Self::DIRECTIONS[(1 << AXES) - 1];
+
+    /// At rest, with everything off.
+    pub fn new(interpolator: Interpolator<'static>, pace: P, motors: M, follower: F) -> Self {
+        let (coils, has_coils, is_enabled, outputs) = ([0; 2], false, false, 0);
+        Self { interpolator, pace, motors, follower, set: 0, steps: 0, coils, has_coils, is_enabled, outputs }
+    }
+
+    /// One beat.
+    #[inline]
+    pub fn beat(&mut self) {
+        self.motors.write(self.set, Self::ALL);
+        if self.has_coils {
+            self.motors.coils(self.coils);
+        }
+        self.pace.clear();
+        let wrap = self.pace.wrap_stamp();
+        let (motors, follower) = (&mut self.motors, &self.follower);
+        let out = self.interpolator.beat(wrap, |channel| {
+            if channel == CHANNEL_ENCODER { follower.measured() } else { motors.sense(channel - 1) }
+        });
+        self.pace.set_period(out.period_cycles);
+        self.coils = self.follower.follow(&out, &self.interpolator);
+        self.has_coils |= self.coils != [0; 2];
+        if out.is_enabled != self.is_enabled {
+            self.is_enabled = out.is_enabled;
+            self.motors.enable(out.is_enabled);
+        }
+        if out.outputs != self.outputs {
+            self.outputs = out.outputs;
+            self.motors.outputs(out.outputs);
+        }
+        if self.steps != 0 {
+            self.motors.write(0, self.steps);
+        }
+        let mask = (1 << AXES) - 1;
+        self.steps = Self::STEPS[usize::from(out.steps & mask)];
+        self.set = self.steps | Self::DIRECTIONS[usize::from(out.directions & mask)];
+    }
+}
