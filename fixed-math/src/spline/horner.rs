@@ -58,7 +58,8 @@ impl Cubic {
         Ok(Self { coefficients: [floor_third(8 * jerk + 1), bend << 3, (first + second) << 3], base })
     }
 
-    /// Position at `part`, in 2^-16 of the interval: less than one unit from the exact one.
+    /// Position at `part`, in 2^-16 of the interval: less than one unit from the exact one. Of a slow move the next may be one unit back, so what
+    /// counts units takes hysteresis. 31 cycles of a Cortex-M0+ by its table, the four loads included.
     #[must_use]
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "a call costs a Cortex-M0+ as much as two of the three products")]
@@ -70,7 +71,8 @@ impl Cubic {
         self.base + ((scale(b1, part) + CENTRE) >> GUARD_BITS)
     }
 
-    /// Position as of [`position`](Self::position), and velocity an interval in 2^-4 ([`GUARD_BITS`]) of a unit: from 6 below to 1 above the exact one.
+    /// Position as of [`position`](Self::position), and velocity an interval in 2^-4 ([`GUARD_BITS`]) of a unit: from 6 below to 1 above the exact
+    /// one. 39 cycles of a Cortex-M0+ by its table, the four loads included.
     #[must_use]
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "a call costs a Cortex-M0+ as much as two of the four products")]
