@@ -6,9 +6,11 @@
 //!   halves share rings and words with one writer each, no lock.
 //! - **Context:** static memory. **Clauses:** `[MOT-02]` to `[MOT-14]`, `[MOT-24]`.
 
+mod fast;
 mod interpolator;
 mod motion;
 
+pub use fast::{FastInterpolator, SLICES};
 pub use interpolator::{BeatOutput, BeatTraits, Interpolator};
 pub use motion::{
     AxisView, CLOCK_BOUND_MAX, CLOCK_LOST_MAX, FRESH_MAX, HaltCause, Motion, OfferError, RUN_US_MAX, SettingError,

@@ -20,7 +20,7 @@ use core::sync::atomic::Ordering;
 use fixed_math::clock::SlewedMap;
 use fixed_math::logic::Graph;
 use fixed_math::phase::{Coils, PhaseWindow};
-use fixed_math::steps::{Direction, StepBits};
+use fixed_math::steps::{Direction, Step, StepBits};
 use fixed_math::time::{LocalTicks, NetTime, Span};
 use heapless::spsc::Consumer;
 
@@ -55,6 +55,13 @@ pub struct BeatOutput {
     pub period_cycles: u32,
 }
 
+/// What a beat is calculated for.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Times {
+    pub(super) system: NetTime,
+    pub(super) track: NetTime,
+}
+
 /// One axis' output stage.
 #[derive(Clone, Copy, Debug)]
 enum Stage {
@@ -65,7 +72,7 @@ enum Stage {
 }
 
 /// One axis: its player, and what moves its motor.
-struct AxisOut<'a> {
+pub(super) struct AxisOut<'a> {
     player: Player<'a, QUEUE>,
     stage: Stage,
     /// [`Output::origin`](crate::player::Output::origin) at which the stage was begun.
@@ -83,7 +90,7 @@ struct Watched {
 
 /// The half.
 pub struct Interpolator<'a> {
-    axes: [AxisOut<'a>; AXES],
+    pub(super) axes: [AxisOut<'a>; AXES],
     clock: BeatClock<'a>,
     ramps: [RampPlayer<'a>; RAMPS],
     levels: [LevelPlayer<'a>; LEVELS],
@@ -94,14 +101,14 @@ pub struct Interpolator<'a> {
     /// Of the counter, when the map was told.
     told_at: LocalTicks,
     lock: BeatLock,
-    period: Span,
+    pub(super) period: Span,
     graph: Graph<NODES>,
     /// A node or more was set.
     has_nodes: bool,
     outputs: [Option<u8>; OUTPUTS],
     triggers: [Watched; TRIGGERS],
     has_triggers: bool,
-    nominal_cycles: u32,
+    pub(super) nominal_cycles: u32,
     inputs: [i32; INPUTS],
 }
 
@@ -140,10 +147,26 @@ impl<'a> Interpolator<'a> {
 
     /// The beat that wrapped when the counter read `wrap`: what to put out at the next. `sense` reads a channel.
     pub fn beat(&mut self, wrap: LocalTicks, mut sense: impl FnMut(u8) -> i32) -> BeatOutput {
+        let (mut out, times) = self.begin(wrap, self.period);
+        if let Some(times) = times {
+            for index in 0..AXES {
+                let played = self.play(index, times.track, &mut out);
+                if let Some(axis) = self.axes.get_mut(index) {
+                    axis.step(&played, index, &mut out);
+                }
+            }
+            self.signals(times.track, &mut out);
+            self.trigger(times.system, &mut sense);
+        }
+        out
+    }
+
+    /// First part of a beat: orders, and the times for which the rest is done, `lead` after this beat's own; `None` before there is a time.
+    pub(super) fn begin(&mut self, wrap: LocalTicks, lead: Span) -> (BeatOutput, Option<Times>) {
         self.take_orders(wrap);
         count(&self.told.beats);
         let mut out = BeatOutput { period_cycles: self.nominal_cycles, ..BeatOutput::default() };
-        let Some(map) = &self.map else { return out };
+        let Some(map) = &self.map else { return (out, None) };
         let beat = self.lock.wrapped(map.system_at(wrap));
         out.period_cycles = beat.period_cycles;
         self.told.late_steps.store(beat.late_steps, Ordering::Relaxed);
@@ -154,29 +177,29 @@ impl<'a> Interpolator<'a> {
             count(&self.told.stale);
             self.axes.iter_mut().for_each(|axis| axis.player.abandon());
         }
-        let now = beat.grid + self.period;
-        let track = self.clock.advance(now).time;
-        let inputs = &mut self.inputs;
-        for (index, axis) in self.axes.iter_mut().enumerate() {
-            let told = &self.told.axes[index];
-            let played = axis.beat(track, index, &mut out);
-            let Output { position, velocity, state, .. } = played;
-            if index == 0 {
-                out.first = played;
-            }
-            inputs[2 * index] = position;
-            inputs[2 * index + 1] = velocity;
-            told.position.store(position, Ordering::Relaxed);
-            told.state.store(state as u32, Ordering::Relaxed);
-            told.steps_late.store(axis.steps_late(), Ordering::Relaxed);
+        let system = beat.grid + lead;
+        (out, Some(Times { system, track: self.clock.advance(system).time }))
+    }
+
+    /// One axis at a track time.
+    #[inline]
+    pub(super) fn play(&mut self, index: usize, track: NetTime, out: &mut BeatOutput) -> Output {
+        let (Some(axis), Some(told)) = (self.axes.get_mut(index), self.told.axes.get(index)) else {
+            return Output::default();
+        };
+        let played = axis.player.beat(track);
+        let Output { position, velocity, state, .. } = played;
+        if let Some([at, rate]) = self.inputs.as_chunks_mut().0.get_mut(index) {
+            (*at, *rate) = (position, velocity);
         }
-        if self.has_nodes {
-            self.signals(track, &mut out);
+        if index == 0 {
+            out.first = played;
         }
-        if self.has_triggers {
-            self.trigger(now, &mut sense);
-        }
-        out
+        out.is_enabled |= !matches!(state, PlayerState::Idle | PlayerState::Released);
+        told.position.store(position, Ordering::Relaxed);
+        told.state.store(state as u32, Ordering::Relaxed);
+        told.steps_late.store(axis.steps_late(), Ordering::Relaxed);
+        played
     }
 
     /// What the task below wants, one order a beat so that no beat takes long.
@@ -210,7 +233,11 @@ impl<'a> Interpolator<'a> {
         }
     }
 
-    fn signals(&mut self, track: NetTime, out: &mut BeatOutput) {
+    /// Tracks beside axes, nodes and outputs.
+    pub(super) fn signals(&mut self, track: NetTime, out: &mut BeatOutput) {
+        if !self.has_nodes {
+            return;
+        }
         for (input, ramp) in self.inputs[INPUT_RAMPS..].iter_mut().zip(&mut self.ramps) {
             *input = ramp.value(track).unwrap_or(0);
         }
@@ -224,7 +251,11 @@ impl<'a> Interpolator<'a> {
         }
     }
 
-    fn trigger(&mut self, now: NetTime, sense: &mut impl FnMut(u8) -> i32) {
+    /// Readings that are due.
+    pub(super) fn trigger(&mut self, now: NetTime, sense: &mut impl FnMut(u8) -> i32) {
+        if !self.has_triggers {
+            return;
+        }
         for Watched { channel, node, trigger } in &mut self.triggers {
             let Some(trigger) = trigger else { continue };
             let signal = i32::from(self.graph.is_true(usize::from(*node)).unwrap_or(false));
@@ -263,37 +294,57 @@ impl AxisOut<'_> {
         }
     }
 
+    /// Steps or currents for what was played.
     #[inline]
-    fn beat(&mut self, track: NetTime, index: usize, out: &mut BeatOutput) -> Output {
-        let played = self.player.beat(track);
-        let is_on = !matches!(played.state, PlayerState::Idle | PlayerState::Released);
-        out.is_enabled |= is_on;
+    fn step(&mut self, played: &Output, index: usize, out: &mut BeatOutput) {
         if played.state == PlayerState::Idle {
-            return Output { velocity: 0, acceleration: 0, ..played };
+            return;
         }
+        self.rebase(played);
         match &mut self.stage {
-            Stage::None => {}
-            Stage::Steps(steps) => {
-                if played.origin != self.origin {
-                    // where the axis is has a new meaning, and the motor has not moved
-                    self.late = self.late.saturating_add(steps.missed());
-                    let hysteresis = StepBits::quarter(self.step_log2);
-                    if let Ok(begun) = StepBits::new(self.step_log2, hysteresis, played.position) {
-                        *steps = begun;
-                    }
-                    self.origin = played.origin;
-                }
-                let step = steps.update(played.position);
-                out.steps |= u8::from(step.is_step) << index;
-                out.directions |= u8::from(step.direction == Direction::Up) << index;
-            }
+            Stage::Steps(steps) => put_step(steps.update(played.position), index, out),
             Stage::Phases(window) if index == 0 => {
-                let amplitude = if is_on { AMPLITUDE } else { 0 };
+                let amplitude = if played.state == PlayerState::Released { 0 } else { AMPLITUDE };
                 let Coils { a, b } = Coils::at(window.phase(played.position), amplitude);
                 out.coils = Some([a, b]);
             }
-            Stage::Phases(_) => {}
+            Stage::Phases(_) | Stage::None => {}
         }
-        played
     }
+
+    /// Where the axis is may have got a new meaning: then the motor is there, and has not moved.
+    #[inline]
+    pub(super) fn rebase(&mut self, played: &Output) {
+        if played.origin != self.origin
+            && let Stage::Steps(steps) = &mut self.stage
+        {
+            self.late = self.late.saturating_add(steps.missed());
+            if let Ok(begun) = StepBits::new(self.step_log2, StepBits::quarter(self.step_log2), played.position) {
+                *steps = begun;
+            }
+            self.origin = played.origin;
+        }
+    }
+
+    /// Whether what was played is of another origin than what was stepped.
+    #[inline]
+    pub(super) const fn begins(&self, played: &Output) -> bool {
+        played.origin != self.origin
+    }
+
+    /// What steps by position, if it does.
+    #[inline]
+    pub(super) const fn steps(&mut self) -> Option<&mut StepBits> {
+        match &mut self.stage {
+            Stage::Steps(steps) => Some(steps),
+            Stage::Phases(_) | Stage::None => None,
+        }
+    }
+}
+
+/// Puts a step out for axis `index`.
+#[inline]
+pub(super) fn put_step(step: Step, index: usize, out: &mut BeatOutput) {
+    out.steps |= u8::from(step.is_step) << index;
+    out.directions |= u8::from(step.direction == Direction::Up) << index;
 }

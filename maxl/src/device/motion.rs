@@ -256,6 +256,9 @@ impl<'a> Motion<'a> {
     }
 
     /// Forgets a fault; false while the axis may move.
+    ///
+    /// # Errors
+    /// [`SettingError::NoSuch`].
     pub fn clear_fault(&mut self, axis: u8) -> Result<bool, SettingError> {
         let it = self.axis(axis)?;
         let is_cleared = it.feeder.clear_fault();

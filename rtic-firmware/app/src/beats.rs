@@ -7,7 +7,7 @@
 //! - **Clauses:** `[MOT-13]`, `[MOT-14]`. Boards implement both traits, as they do [`Wire`](crate::Wire): decision 5.
 
 use fixed_math::time::LocalTicks;
-use osap_maxl::device::{AXES, BeatOutput, Interpolator};
+use osap_maxl::device::{AXES, BeatOutput, FastInterpolator, Interpolator};
 
 /// A board's beat.
 pub trait Pace {
@@ -84,49 +84,35 @@ const fn levels(pins: [u32; AXES]) -> [u32; 1 << AXES] {
     levels
 }
 
-/// All that the interrupt has.
-pub struct Beats<P, M, F> {
-    interpolator: Interpolator<'static>,
-    pace: P,
+/// A board's motors, and what they get at the next beat.
+struct Edges<M> {
     motors: M,
-    follower: F,
-    /// For the next beat: pins that will be high, of all that there are.
+    /// Pins that will be high, of all that there are.
     set: u32,
     /// Of them, steps.
     steps: u32,
-    coils: [i16; 2],
-    has_coils: bool,
     is_enabled: bool,
     outputs: u8,
 }
 
-impl<P: Pace, M: Motors, F: Follower> Beats<P, M, F> {
+impl<M: Motors> Edges<M> {
     const STEPS: [u32; 1 << AXES] = levels(M::STEPS);
     const DIRECTIONS: [u32; 1 << AXES] = levels(M::DIRECTIONS);
     const ALL: u32 = Self::STEPS[(1 << AXES) - 1] | Self::DIRECTIONS[(1 << AXES) - 1];
 
-    /// At rest, with everything off.
-    pub fn new(interpolator: Interpolator<'static>, pace: P, motors: M, follower: F) -> Self {
-        let (coils, has_coils, is_enabled, outputs) = ([0; 2], false, false, 0);
-        Self { interpolator, pace, motors, follower, set: 0, steps: 0, coils, has_coils, is_enabled, outputs }
+    const fn new(motors: M) -> Self {
+        Self { motors, set: 0, steps: 0, is_enabled: false, outputs: 0 }
     }
 
-    /// One beat.
+    /// What was calculated last: the first thing of a beat.
     #[inline]
-    pub fn beat(&mut self) {
+    fn put_out(&mut self) {
         self.motors.write(self.set, Self::ALL);
-        if self.has_coils {
-            self.motors.coils(self.coils);
-        }
-        self.pace.clear();
-        let wrap = self.pace.wrap_stamp();
-        let (motors, follower) = (&mut self.motors, &self.follower);
-        let out = self.interpolator.beat(wrap, |channel| {
-            if channel == CHANNEL_ENCODER { follower.measured() } else { motors.sense(channel - 1) }
-        });
-        self.pace.set_period(out.period_cycles);
-        self.coils = self.follower.follow(&out, &self.interpolator);
-        self.has_coils |= self.coils != [0; 2];
+    }
+
+    /// Ends the pulses, and keeps what is to come; the last thing of a beat.
+    #[inline]
+    fn take(&mut self, out: &BeatOutput) {
         if out.is_enabled != self.is_enabled {
             self.is_enabled = out.is_enabled;
             self.motors.enable(out.is_enabled);
@@ -141,5 +127,70 @@ impl<P: Pace, M: Motors, F: Follower> Beats<P, M, F> {
         let mask = (1 << AXES) - 1;
         self.steps = Self::STEPS[usize::from(out.steps & mask)];
         self.set = self.steps | Self::DIRECTIONS[usize::from(out.directions & mask)];
+    }
+}
+
+/// All that the interrupt has.
+pub struct Beats<P, M, F> {
+    interpolator: Interpolator<'static>,
+    pace: P,
+    edges: Edges<M>,
+    follower: F,
+    coils: [i16; 2],
+    has_coils: bool,
+}
+
+impl<P: Pace, M: Motors, F: Follower> Beats<P, M, F> {
+    /// At rest, with everything off.
+    pub const fn new(interpolator: Interpolator<'static>, pace: P, motors: M, follower: F) -> Self {
+        Self { interpolator, pace, edges: Edges::new(motors), follower, coils: [0; 2], has_coils: false }
+    }
+
+    /// One beat.
+    #[inline]
+    pub fn beat(&mut self) {
+        self.edges.put_out();
+        if self.has_coils {
+            self.edges.motors.coils(self.coils);
+        }
+        self.pace.clear();
+        let wrap = self.pace.wrap_stamp();
+        let (motors, follower) = (&mut self.edges.motors, &self.follower);
+        let out = self.interpolator.beat(wrap, |channel| match channel.checked_sub(CHANNEL_ENCODER + 1) {
+            None => follower.measured(),
+            Some(channel) => motors.sense(channel),
+        });
+        self.pace.set_period(out.period_cycles);
+        self.coils = self.follower.follow(&out, &self.interpolator);
+        self.has_coils |= self.coils != [0; 2];
+        self.edges.take(&out);
+    }
+}
+
+/// The same at eight times the rate, for steps: a slice of a beat at each interrupt.
+pub struct FastBeats<P, M> {
+    interpolator: FastInterpolator<'static>,
+    pace: P,
+    edges: Edges<M>,
+}
+
+impl<P: Pace, M: Motors> FastBeats<P, M> {
+    /// At rest, with everything off.
+    pub const fn new(interpolator: FastInterpolator<'static>, pace: P, motors: M) -> Self {
+        Self { interpolator, pace, edges: Edges::new(motors) }
+    }
+
+    /// One slice.
+    #[inline]
+    pub fn beat(&mut self) {
+        self.edges.put_out();
+        self.pace.clear();
+        let (motors, pace) = (&mut self.edges.motors, &mut self.pace);
+        let out = self.interpolator.slice(
+            || pace.wrap_stamp(),
+            |channel| channel.checked_sub(CHANNEL_ENCODER + 1).map_or(0, |channel| motors.sense(channel)),
+        );
+        self.pace.set_period(out.period_cycles);
+        self.edges.take(&out);
     }
 }
