@@ -66,7 +66,8 @@ fn hand_worked_steps() {
     let mut steps = StepBits::new(2, 1, 0).unwrap();
     let step = |is_step, direction, is_behind| Step { is_step, direction, is_behind };
     let (up, down) = (Direction::Up, Direction::Down);
-    let seen = [3, 4, 3, 2, 2, 2, 7, 7, 7, 20, 20, 20, 20, 20].map(|position| steps.update(position));
+    let positions = [3, 4, 3, 2, 2, 2, 7, 7, 7, 20, 20, 20, 20, 20];
+    let seen = positions.map(|position| steps.update(position));
     let expected = [
         step(false, up, false),
         step(true, up, false),
@@ -85,6 +86,10 @@ fn hand_worked_steps() {
     ];
     assert_eq!(seen, expected);
     assert_eq!((steps.at(), steps.backlog(), steps.missed()), (5, 0, 3));
+    // the same by thresholds, from a base of 5 LSB in 96ths
+    let mut steps = StepThresholds::new(2, 1, 0, 5, 96).unwrap();
+    assert_eq!(positions.map(|position| steps.update((i64::from(position) - 5) * 96)), expected);
+    assert_eq!(steps.at(), 5);
 }
 
 #[test]
