@@ -58,6 +58,8 @@ fn every_command_writes_documents_of_its_schema() {
         (with_sim(&["clock", "watch", "--for", "0"]), "osap.clock-watch/1"),
         (with_sim(&["clock", "wait", "--within", "1ms"]), "osap.clock-wait/1"),
         (with_sim(&["clock", "tune", "/0", "--interval", "20ms"]), "osap.clock-tune/1"),
+        (vec!["maxl", "eval", "tests/cli/maxl.in/points.csv", "--interval-us", "1024"], "osap.maxl-eval/1"),
+        (vec!["maxl", "error", "tests/cli/maxl.in/corner.csv", "--tolerance", "0.1"], "osap.maxl-error/1"),
         (vec!["decode", "05 e8 03 40 00 41 c0 18 01 00 2a"], "osap.decode/1"),
         (vec!["key", "generate", &key], "osap.key-generate/1"),
         (vec!["completions", "bash"], "osap.completions/1"),
@@ -93,12 +95,15 @@ fn the_fields_that_scripts_read_are_there() {
 /// Each code that can be had without hardware, as a document that says what, where and what next.
 #[test]
 fn errors_are_documents_with_their_codes() {
-    let cases: [(&[&str], Exit); 12] = [
+    let cases: [(&[&str], Exit); 15] = [
         // Nobody is there, which a datagram link cannot know.
         (&["scan", "--link", "udp:127.0.0.1:9"], Exit::NoAnswer),
         (&["scan", "--colour"], Exit::Usage),
         (&["map", "--dot", "--link", "sim:line:1"], Exit::Usage),
         (&["decode", "0g"], Exit::Usage),
+        (&["maxl", "eval", "tests/cli/maxl.in/ragged.csv", "--interval-us", "1024"], Exit::Io),
+        (&["maxl", "eval", "tests/cli/maxl.in/points.csv", "--interval-us", "1000"], Exit::Usage),
+        (&["maxl", "error", "tests/cli/maxl.in/corner.csv", "--plot"], Exit::Usage),
         (&["scan", "--link", "tcp:127.0.0.1:1"], Exit::NoLink),
         (&["ping", "toaster", "--link", "sim:line:1"], Exit::DeviceNotFound),
         (&["ping", "73696d2d", "--link", "sim:line:2"], Exit::DeviceAmbiguous),

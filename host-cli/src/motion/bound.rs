@@ -1,7 +1,7 @@
 //! The most that a spline of samples can be off a path: ε ≤ h²A/6 + (13/48)·h·|Δv|, with A and Δv read off the path.
 //!
 //! - **Walk:** [`Path::bends`] → [`Bound::of`], for each axis and for the length of the vector.
-//! - **Invariants:** it holds for every phase of the points against the path, before rounding to LSB; [`rounding_lsb`] is what that adds.
+//! - **Invariants:** it holds for every phase of the points against the path, before rounding to LSB; [`ROUNDING_LSB`] is what that adds.
 //!
 //! # Why it holds for a polyline
 //!
@@ -49,11 +49,9 @@ pub struct Bound {
     pub deviation: f64,
 }
 
-/// The most that rounding adds for each axis, LSB: one half for a point, 29/48 for the device's evaluator.
-#[must_use]
-pub const fn rounding_lsb() -> f64 {
-    0.5 + 29.0 / 48.0
-}
+/// The most that rounding adds for each axis, LSB: one half for a point, one for the device's evaluator
+/// ([`fixed_math::spline::horner`] states less than one).
+pub const ROUNDING_LSB: f64 = 0.5 + 1.0;
 
 /// One row of the path, as the bound sees it.
 struct Change {

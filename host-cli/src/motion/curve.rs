@@ -204,7 +204,7 @@ mod tests {
         IntervalLog2::new(log2).unwrap()
     }
 
-    /// Positions within the 29/48 LSB that the evaluator states of the exact spline, which is itself rounded by a half.
+    /// Positions less than the one LSB that the evaluator states from the exact spline, which is itself rounded by a half: at most one.
     #[test]
     #[expect(clippy::cast_precision_loss, reason = "the sixteenth digit is allowed for where it counts")]
     fn it_is_the_spline_of_its_points() {

@@ -6,7 +6,7 @@
 //!   corner and what it lags or leads along the path.
 //! - **Phases:** where a path lies against the grid of its points is chance, so it is laid at several offsets and the worst is kept.
 
-use super::bound::{Bound, rounding_lsb};
+use super::bound::{Bound, ROUNDING_LSB};
 use super::curve::{Curve, CurveError, Ends};
 use super::fit::{Fit, MARGIN};
 use super::path::Path;
@@ -125,7 +125,7 @@ pub fn measure(path: &Path, setup: &Setup, mut done: impl FnMut(u32)) -> Result<
         let axes = path.names().len();
         let axis_bounds = (0..axes).map(|axis| Bound::of(&bends, |change| change[axis].abs(), interval)).collect();
         let norm_bound = Bound::of(&bends, norm, interval);
-        let rounding = rounding_lsb() * setup.lsb.units() * root_of(axes);
+        let rounding = ROUNDING_LSB * setup.lsb.units() * root_of(axes);
         let fits = measure_interval(path, setup, interval, norm_bound.deviation + rounding);
         done(interval.us());
         let (fits, not_measured) = match fits {
@@ -401,6 +401,205 @@ fn compare(
                 }
                 tally.take(at_us, &deviations);
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::motion::table::Table;
+    use proptest::prelude::*;
+    use std::f64::consts::TAU;
+    use std::fmt::Write as _;
+
+    const LSB: f64 = 1.0 / 65_536.0;
+
+    fn setup(ends: Ends, phases: u32) -> Setup {
+        Setup { lsb: Lsb::DEFAULT, ends, phases, every_us: 64 }
+    }
+
+    fn path(rows: impl Iterator<Item = (u32, Vec<f64>)>) -> Path {
+        let mut rows = rows.peekable();
+        let axes = rows.peek().map_or(0, |(_, axes)| axes.len());
+        let head = (0..axes).fold("time_us".to_owned(), |head, axis| format!("{head},a{axis}"));
+        let text = rows.fold(format!("{head}\n"), |mut text, (at_us, axes)| {
+            // writing to a string cannot fail
+            let _ = write!(text, "{at_us}");
+            for position in axes {
+                let _ = write!(text, ",{position}");
+            }
+            text.push('\n');
+            text
+        });
+        Path::from_table(&Table::read(text.as_bytes()).unwrap()).unwrap()
+    }
+
+    /// A path of `at` every `step_us` for `duration_us`.
+    fn sampled(step_us: u32, duration_us: u32, at: impl Fn(f64) -> Vec<f64>) -> Path {
+        path((0..=duration_us / step_us).map(|row| (row * step_us, at(f64::from(row * step_us) / US_PER_S))))
+    }
+
+    fn h(report: &IntervalReport) -> f64 {
+        f64::from(report.interval_us) / US_PER_S
+    }
+
+    /// At constant speed nothing deviates, but for what rounding adds.
+    #[test]
+    fn a_straight_line_has_no_deviation() {
+        let line = path([(0, vec![-3.0, 7.0]), (400_000, vec![41.0, -2.0])].into_iter());
+        for report in measure(&line, &setup(Ends::Open, 3), |_| ()).unwrap() {
+            assert_eq!(report.fits.len(), 3, "{report:?}");
+            assert!(report.norm_bound.deviation.abs() < f64::EPSILON);
+            for it in &report.fits {
+                assert!(it.norm.max > 0.0 && it.norm.max <= report.rounding, "{it:?}");
+                assert!(it.axes.iter().all(|axis| axis.max <= ROUNDING_LSB * LSB), "{it:?}");
+            }
+        }
+    }
+
+    /// Around a circle the spline of samples lies inside by R·(1 − cos ωh)/3 at its knots and by R·(1 − (23·cos ½ωh + cos 1½ωh)/24)
+    /// between them, where that is largest: R·(ωh)²/6 less 0.068·(ωh)² of itself, so the formula is met to a factor of 1 − (ωh)²/12.
+    #[test]
+    fn a_circle_keeps_the_bound_and_nearly_meets_it() {
+        let (radius, omega) = (20.0, 15.0);
+        let acceleration: f64 = radius * omega * omega;
+        let step_us = 16;
+        let circle = sampled(step_us, 420_000, |t| vec![radius * (omega * t).cos(), radius * (omega * t).sin()]);
+        for report in measure(&circle, &setup(Ends::Open, 4), |_| ()).unwrap() {
+            let it = &report.fits[0];
+            let half = omega * h(&report) / 2.0;
+            let expected = radius * (1.0 - (23.0 * half.cos() + (3.0 * half).cos()) / 24.0);
+            // a chord of the rows lies inside of the circle too
+            let chord = acceleration * (f64::from(step_us) / US_PER_S).powi(2) / 8.0;
+            assert!((it.norm.max - expected).abs() <= report.rounding + chord, "{it:?} {expected}");
+            let formula = acceleration * h(&report).powi(2) / 6.0;
+            assert!(it.norm.max <= it.bound.unwrap(), "{it:?}");
+            let tight = 1.0 - (omega * h(&report)).powi(2) / 12.0;
+            assert!(it.norm.max >= formula * tight - report.rounding - chord, "{it:?} {formula}");
+            // the bound read off the file is the formula's: D²/8 with D = 16 µs is less than 0.3 % of h²/6, the rows' digits a thousandth
+            assert!((report.norm_bound.deviation / formula - 1.0).abs() < 5e-3, "{report:?}");
+        }
+    }
+
+    /// A corner in the middle of an interval, seen there: 13/48·h·|Δv| to the last step.
+    #[test]
+    fn a_corner_at_its_worst_phase_meets_the_bound() {
+        let corner = path([(0, vec![0.0, 0.0]), (262_144, vec![10.0, 0.0]), (524_288, vec![10.0, 10.0])].into_iter());
+        let change = 2f64.sqrt() * 10.0 / 0.262_144;
+        for report in measure(&corner, &setup(Ends::Open, 2), |_| ()).unwrap() {
+            let it = &report.fits[0];
+            let worst = 13.0 / 48.0 * h(&report) * change;
+            assert!((report.norm_bound.deviation / worst - 1.0).abs() < 1e-12, "{report:?}");
+            assert!((it.norm.max - worst).abs() <= report.rounding, "{it:?} {worst}");
+            assert!((it.norm.max_at_s - 0.262_144).abs() < 1e-9, "{it:?}");
+            // with knots in the corner alone it is h/6 there, and 7/1152 less than 13/48 at most anywhere
+            let knot = &measure_interval(
+                &corner,
+                &setup(Ends::Open, 1),
+                IntervalLog2::new(report.interval_us.ilog2()).unwrap(),
+                0.0,
+            );
+            let knot = knot.as_ref().ok().map(|fits| fits[0].norm.max).unwrap();
+            assert!((knot - h(&report) / 6.0 * change).abs() <= report.rounding, "{knot}");
+        }
+    }
+
+    /// What quasi-interpolation and the prefilter are for: a parabola comes out as itself, where samples are h²A/6 off.
+    #[test]
+    fn fits_of_a_parabola_are_exact() {
+        let acceleration = 5_000.0;
+        let parabola = sampled(16, 262_144, |t| vec![acceleration * t * t / 2.0]);
+        let chord = acceleration * 16e-6f64.powi(2) / 8.0;
+        for report in measure(&parabola, &setup(Ends::Open, 2), |_| ()).unwrap() {
+            let [sample, quasi, prefilter] = [0, 1, 2].map(|fit| report.fits[fit].norm.max);
+            assert!((sample - acceleration * h(&report).powi(2) / 6.0).abs() <= report.rounding + chord, "{report:?}");
+            assert!(quasi <= report.rounding + chord, "{report:?}");
+            // the path is taken to go straight on at its ends, which is a step of acceleration: what is left of it four points in,
+            // at most h²A/12·0.268⁴
+            let end = acceleration * h(&report).powi(2) / 12.0 * 0.268f64.powi(4);
+            assert!(prefilter <= report.rounding + chord + end, "{report:?}");
+        }
+    }
+
+    #[test]
+    fn what_a_device_cannot_play_and_what_is_too_short_is_told() {
+        // 2^25 steps in 2^13 µs are 62.5 units a millisecond
+        let fast = path([(0, vec![0.0]), (10_000, vec![800.0])].into_iter());
+        let reports = measure(&fast, &setup(Ends::Repeat, 1), |_| ()).unwrap();
+        let played = |reports: &[IntervalReport]| reports.iter().take_while(|it| it.not_measured.is_none()).count();
+        assert_eq!(played(&reports), 5, "{reports:?}");
+        assert!(matches!(reports[5].not_measured, Some(NotMeasured::TooFast { distance, .. }) if distance > 1 << 25));
+        let short = path([(0, vec![0.0]), (20_000, vec![1.0])].into_iter());
+        // eleven intervals of 1024 µs are in it, not of 2048
+        let reports = measure(&short, &setup(Ends::Open, 1), |_| ()).unwrap();
+        assert_eq!(played(&reports), 3);
+        assert_eq!(reports[3].not_measured, Some(NotMeasured::TooShort));
+        let far = path([(0, vec![0.0]), (20_000, vec![40_000.0])].into_iter());
+        let error = measure(&far, &setup(Ends::Repeat, 1), |_| ()).unwrap_err();
+        assert_eq!((error.axis, error.lsb), (0, Lsb::DEFAULT));
+    }
+
+    #[test]
+    fn the_longest_interval_is_chosen_whose_shorter_ones_are_good_as_well() {
+        let line = sampled(1_000, 300_000, |t| vec![(40.0 * t).sin()]);
+        let mut reports = measure(&line, &setup(Ends::Repeat, 1), |_| ()).unwrap();
+        for (number, report) in reports.iter_mut().enumerate() {
+            let of_sample = [0.1, 0.2, 0.9, 0.3, 0.4, 1.0, 2.0][number];
+            for (fit, factor) in report.fits.iter_mut().zip([1.0, 0.5, 0.5]) {
+                fit.norm.max = of_sample * factor;
+            }
+            (report.norm_bound.deviation, report.rounding) = (of_sample, 0.01);
+        }
+        let found = choices(&reports, &Fit::ALL, 0.5);
+        let chosen: Vec<(Fit, u32)> = found.iter().map(|it| (it.fit, it.interval_us)).collect();
+        assert_eq!(chosen, [(Fit::Sample, 512), (Fit::Quasi, 8_192), (Fit::Prefilter, 8_192)]);
+        // of equals the simpler one
+        assert_eq!(best(&found).map(|it| it.fit), Some(Fit::Quasi));
+        assert_eq!(longest_by_bound(&reports, 0.205), Some(256));
+        assert!(choices(&reports, &Fit::ALL, 0.01).is_empty() && best(&[]).is_none());
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        /// Whatever the path, the spline of its samples is within the bound: for each axis, and for the vector.
+        #[test]
+        fn no_polyline_breaks_the_bound(
+            rows in proptest::collection::vec((1u32..40_000, -2.0f64..2.0, -2.0f64..2.0), 2..40),
+            phases in 1u32..6,
+            open in any::<bool>(),
+        ) {
+            let mut at_us = 0;
+            let path = path(rows.into_iter().map(|(gap_us, x, y)| {
+                at_us += gap_us;
+                (at_us, vec![x, y])
+            }));
+            let ends = if open { Ends::Open } else { Ends::Repeat };
+            for report in measure(&path, &setup(ends, phases), |_| ()).unwrap() {
+                let Some(it) = report.fits.first() else { continue };
+                // 1e-9: what a search for the least of the bound, and sums of 40 changes, may lose of it
+                let allowed = |deviation: f64, rounding: f64| deviation * (1.0 + 1e-9) + rounding;
+                prop_assert!(it.norm.max <= allowed(report.norm_bound.deviation, report.rounding), "{:?}", report);
+                for (axis, bound) in it.axes.iter().zip(&report.axis_bounds) {
+                    prop_assert!(axis.max <= allowed(bound.deviation, ROUNDING_LSB * LSB), "{:?}", report);
+                }
+            }
+        }
+    }
+
+    /// A full turn, so that TAU is what it says in the other tests' words: the path ends where it began.
+    #[test]
+    fn at_rest_before_and_after_a_turn_nothing_is_seen_of_the_ends() {
+        let turn = sampled(64, 500_000, |t| {
+            let u = t / 0.5;
+            let angle = TAU * u * u * u * (10.0 - 15.0 * u + 6.0 * u * u);
+            vec![10.0 * angle.cos(), 10.0 * angle.sin()]
+        });
+        for report in measure(&turn, &setup(Ends::Repeat, 2), |_| ()).unwrap() {
+            let it = &report.fits[0];
+            assert!(it.norm.max <= it.bound.unwrap() && it.norm.rms < it.norm.max, "{it:?}");
+            assert!((0.1..0.4).contains(&it.norm.max_at_s), "{it:?}");
         }
     }
 }

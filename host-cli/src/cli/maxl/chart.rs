@@ -18,20 +18,6 @@ pub(super) enum Scale {
     Decades,
 }
 
-impl Scale {
-    /// What stands at the axis where the curve's own number is `at`; nothing between whole powers.
-    pub(super) fn label(self, at: f64) -> String {
-        let is_whole = (at - at.round()).abs() < 1e-9;
-        match self {
-            Self::Linear => figure(at),
-            Self::PowersOfTwo if is_whole => format!("{}", at.round().exp2()),
-            // 1e-3 is shorter than 0.001, and decades are read by their power
-            Self::Decades if is_whole => format!("1e{}", at.round()),
-            Self::PowersOfTwo | Self::Decades => String::new(),
-        }
-    }
-}
-
 /// One axis of a chart.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Axis {
@@ -42,6 +28,32 @@ pub(super) struct Axis {
 }
 
 impl Axis {
+    /// What stands at the axis where the curve's own number is `at`; nothing between whole powers.
+    pub(super) fn label(&self, at: f64) -> String {
+        let is_whole = (at - at.round()).abs() < 1e-9;
+        match self.scale {
+            Scale::Linear => self.linear_label(at),
+            Scale::PowersOfTwo if is_whole => format!("{}", at.round().exp2()),
+            // 1e-3 is shorter than 0.001, and decades are read by their power
+            Scale::Decades if is_whole => format!("1e{}", at.round()),
+            Scale::PowersOfTwo | Scale::Decades => String::new(),
+        }
+    }
+
+    /// With as many digits as tell a hundredth of the axis apart.
+    fn linear_label(&self, at: f64) -> String {
+        let span = self.high - self.low;
+        if !(1e-6..1e7).contains(&span.max(at.abs())) {
+            return figure(at);
+        }
+        #[expect(
+            clippy::cast_possible_truncation,
+            reason = "-7 at least, by what it is compared with or by being an f64"
+        )]
+        let digits = usize::try_from(2 - span.log10().floor() as i32).unwrap_or(0).min(9);
+        format!("{at:.digits$}")
+    }
+
     /// An axis that all of `values` lie on; to whole powers where it is one of powers.
     pub(super) fn over(name: &str, scale: Scale, values: impl Iterator<Item = f64>) -> Self {
         let (low, high) =
@@ -117,8 +129,12 @@ mod tests {
     fn axes_have_room_and_powers_are_whole() {
         let axis = Axis::over("", Scale::Decades, [-2.5, 0.2].into_iter());
         assert_eq!((axis.low, axis.high), (-3.0, 1.0));
-        assert_eq!((axis.scale.label(-3.0), axis.scale.label(-2.5)), ("1e-3".to_owned(), String::new()));
-        assert_eq!(Scale::PowersOfTwo.label(11.0), "2048");
+        assert_eq!((axis.label(-3.0), axis.label(-2.5)), ("1e-3".to_owned(), String::new()));
+        assert_eq!(Axis::over("", Scale::PowersOfTwo, [8.0, 14.0].into_iter()).label(11.0), "2048");
+        let late = Axis::over("", Scale::Linear, [100.0, 100.5].into_iter());
+        assert_eq!((late.label(100.25), late.label(100.0)), ("100.250".to_owned(), "100.000".to_owned()));
+        let large = Axis::over("", Scale::Linear, [-1e9, 1e9].into_iter());
+        assert_eq!(large.label(1e9), "1.00e9");
         let flat = Axis::over("", Scale::Linear, [5.0].into_iter());
         assert_eq!((flat.low, flat.high), (4.0, 6.0));
         let none = Axis::over("", Scale::Linear, std::iter::empty());

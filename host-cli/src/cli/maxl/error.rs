@@ -37,7 +37,7 @@ const POINT_BYTES: u32 = 4;
                   For each interval control points are made from the path, rounded to --lsb and played by a device's own arithmetic; the \
                   deviation is taken at equal times, in the file's units, as the length of the vector of all axes. The bound beside it is \
                   h²A/6 + 13/48·h·|Δv|, for points on the path, with A and Δv read off the file: the split that makes it least. \
-                  What rounding adds, 1.1 steps an axis, is in it.",
+                  What rounding adds, 1.5 steps an axis, is in it.",
     after_help = "Points are made by one of:\n  sample     on the path: never accelerates more than the path does\n  quasi      beside it, by what a \
                   parabola would be cut\n  prefilter  where the spline goes through the samples\n\n\
                   Examples:\n  osap maxl error path.csv --tolerance 0.005\n  osap maxl error path.csv --fit sample --plot\n  osap maxl error path.csv --html path.html"
@@ -230,6 +230,7 @@ impl Found<'_> {
     }
 
     fn bytes_per_s(&self, choice: &Choice) -> f64 {
+        #[expect(clippy::cast_possible_truncation, reason = "eleven")]
         let message = FRAME_BYTES + Points::HEAD_BYTES as u32 + POINT_BYTES * self.args.batch;
         choice.points_per_s * f64::from(message) / f64::from(self.args.batch)
     }

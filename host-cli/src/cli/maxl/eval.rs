@@ -55,7 +55,7 @@ pub(super) struct EvalArgs {
 }
 
 /// The largest of one value, and when.
-#[derive(Clone, Copy, Debug, Default, Serialize)]
+#[derive(Clone, Copy, Debug, Serialize)]
 struct Peak {
     largest: f64,
     at_us: i64,
@@ -97,7 +97,7 @@ pub(super) fn run(args: &EvalArgs, output: &mut Output<'_>) -> Result<Exit, CliE
     let place = |axis, point| format!("row {}, column {}", points.line(point), points.column(axis));
     let curve = points.curve(args.ends.into()).map_err(|error| input::no_curve(&args.file, &error, place))?;
     let play = Play { args, points: &points, curve: &curve };
-    let mut kept = Kept::of(points.names().len(), output.json() || args.plot || args.html.is_some());
+    let mut kept = Kept::of(points.names().len(), play.begin_us(), output.json() || args.plot || args.html.is_some());
     play.run(&mut kept, output)?;
     if output.json() {
         output.document("maxl-eval", &play.document(&kept))?;
@@ -129,8 +129,9 @@ struct Kept {
 }
 
 impl Kept {
-    fn of(axes: usize, all: bool) -> Self {
-        Self { all, time_us: Vec::new(), samples: vec![Vec::new(); axes], peaks: vec![[Peak::default(); 4]; axes] }
+    fn of(axes: usize, begin_us: i64, all: bool) -> Self {
+        let none = Peak { largest: 0.0, at_us: begin_us };
+        Self { all, time_us: Vec::new(), samples: vec![Vec::new(); axes], peaks: vec![[none; 4]; axes] }
     }
 
     fn take(&mut self, axis: usize, at_us: i64, values: [f64; 4]) {

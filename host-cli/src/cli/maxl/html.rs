@@ -63,8 +63,8 @@ fn svg(chart: &Chart) -> Result<String, Box<dyn std::error::Error>> {
         plot.configure_mesh()
             .x_desc(&chart.x.name)
             .y_desc(&chart.y.name)
-            .x_label_formatter(&|at| chart.x.scale.label(*at))
-            .y_label_formatter(&|at| chart.y.scale.label(*at))
+            .x_label_formatter(&|at| chart.x.label(*at))
+            .y_label_formatter(&|at| chart.y.label(*at))
             .draw()?;
         for (number, series) in chart.series.iter().enumerate() {
             let colour = Palette99::pick(number).to_rgba();

@@ -59,7 +59,7 @@ fn axis(axis: &Axis) -> chart::Axis<'static> {
         (low..=high).step_by(step).map(f64::from).collect::<Vec<f64>>()
     });
     let at = powers.unwrap_or_else(|| vec![axis.low, f64::midpoint(axis.low, axis.high), axis.high]);
-    let labels: Vec<String> = at.into_iter().map(|at| axis.scale.label(at)).collect();
+    let labels: Vec<String> = at.into_iter().map(|at| axis.label(at)).collect();
     chart::Axis::default().bounds([axis.low, axis.high]).labels(labels)
 }
 
