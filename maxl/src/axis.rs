@@ -201,6 +201,8 @@ pub(crate) enum Order {
 pub(crate) enum Event {
     /// From the point of this number on, points are the player's own.
     Starved { number: u32, cause: StarvedCause },
+    /// Track time leapt while it braked: its points are not where their indices say. Once a series.
+    Leapt,
     /// All points are at one position.
     Rested,
 }

@@ -168,6 +168,8 @@ struct Series {
     highest: u64,
     rebuilt_in_row: u8,
     rebuilt: u16,
+    /// Track time leapt: the player's points are not where their indices say.
+    has_leapt: bool,
 }
 
 impl Series {
@@ -280,6 +282,7 @@ impl<'a, const QUEUE: usize, const HISTORY: usize> Feeder<'a, QUEUE, HISTORY> {
             highest: 0,
             rebuilt_in_row: 0,
             rebuilt: 0,
+            has_leapt: false,
         };
         let needed_by = series.needed_by(1);
         if needed_by <= now {
@@ -346,20 +349,15 @@ impl<'a, const QUEUE: usize, const HISTORY: usize> Feeder<'a, QUEUE, HISTORY> {
     /// Where the axis was, or will be, at track time `at`. `None` before the history, beyond the points, and for a series in which time leapt.
     #[must_use]
     pub fn position_at(&self, at: NetTime) -> Option<Motion> {
-        let series = self.series.as_ref()?;
+        let series = self.series.as_ref().filter(|series| !series.has_leapt)?;
         let after = at.steps_after(series.start);
         let step = i64::from(series.config.interval.steps());
         let (index, since) = (after.div_euclid(step), after.rem_euclid(step));
         let is_over =
             matches!(self.state, FeederState::Resting { .. }) && index > self.history.newest().cast_signed() - 3;
         let mut points = [series.knot.position; 4];
-        if !is_over {
-            if self.cause() == Some(StarvedCause::Leapt) {
-                return None;
-            }
-            for (offset, point) in (-1..).zip(&mut points) {
-                *point = self.history.get(index.saturating_add(offset))?;
-            }
+        for (offset, point) in (-1..).zip(&mut points).filter(|_| !is_over) {
+            *point = self.history.get(index.saturating_add(offset))?;
         }
         let cubic = Cubic::new(points).ok()?;
         let part = series.config.interval.part(u32::try_from(since).ok()?);
@@ -382,14 +380,6 @@ impl<'a, const QUEUE: usize, const HISTORY: usize> Feeder<'a, QUEUE, HISTORY> {
         // the segment from point i on takes those from i − 1 to i + 2
         let from = series.time_of(if oldest == 0 { 0 } else { oldest + 1 });
         Some((from, series.time_of(self.history.newest().saturating_sub(1)).max(from)))
-    }
-
-    /// Why the series is over.
-    const fn cause(&self) -> Option<StarvedCause> {
-        match self.state {
-            FeederState::Stopping { cause } | FeederState::Resting { cause } => Some(cause),
-            FeederState::Unarmed | FeederState::Following => None,
-        }
     }
 
     fn count(&mut self, refusal: Option<Refusal>) {
@@ -541,6 +531,11 @@ impl<'a, const QUEUE: usize, const HISTORY: usize> Feeder<'a, QUEUE, HISTORY> {
                     self.counters.starved = self.counters.starved.saturating_add(1);
                     self.state = FeederState::Stopping { cause };
                     self.go_back_to(number);
+                }
+                (Event::Leapt, _) => {
+                    if let Some(series) = &mut self.series {
+                        series.has_leapt = true;
+                    }
                 }
                 (Event::Rested, FeederState::Stopping { cause }) => {
                     self.retrace(NetTime::MAX);

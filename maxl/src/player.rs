@@ -62,6 +62,8 @@ pub struct Player<'a, const QUEUE: usize> {
     policy: StarvedPolicy,
     state: PlayerState,
     origin: u8,
+    /// Time leapt in this series.
+    has_leapt: bool,
 }
 
 /// Where a player is: four points, and when the second of them is.
@@ -139,6 +141,7 @@ impl<'a, const QUEUE: usize> Player<'a, QUEUE> {
             policy: StarvedPolicy::Stop,
             state: PlayerState::Idle,
             origin: 0,
+            has_leapt: false,
         }
     }
 
@@ -191,6 +194,7 @@ impl<'a, const QUEUE: usize> Player<'a, QUEUE> {
             self.origin = self.origin.wrapping_add(1);
         }
         self.state = PlayerState::Following;
+        self.has_leapt = false;
     }
 
     /// Goes on to `at`, over as many knots as there are between.
@@ -218,6 +222,9 @@ impl<'a, const QUEUE: usize> Player<'a, QUEUE> {
         self.segment.knot = NetTime::from_steps(at.steps().saturating_sub(part));
         if self.state == PlayerState::Following {
             self.starve(StarvedCause::Leapt);
+        }
+        if !core::mem::replace(&mut self.has_leapt, true) {
+            let _room = self.events.enqueue(Event::Leapt);
         }
     }
 

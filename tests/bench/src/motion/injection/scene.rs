@@ -55,7 +55,9 @@ struct Scene<'a> {
     config: Option<(Truth, AxisConfig)>,
     system: NetTime,
     beat: Span,
+    /// Of the last halt that was sent, and of the last that was followed.
     sequence: u32,
+    followed: Option<u32>,
     tally: Tally,
 }
 
@@ -64,7 +66,7 @@ pub(super) fn play(seed: u64, case: u64, points: u64) -> Result<Tally, String> {
     let mut rng = Pcg64::new(u128::from(seed) << 64 | u128::from(case), 0x5851_f42d);
     let (mut axis, mut clocks) = (AxisRings::<QUEUE>::new(), ClockRings::new());
     let (feeder, player) = axis.split::<HISTORY>();
-    let warp = Warp::new(rng.random_range(8..=17)).ok_or("a warp in range")?;
+    let warp = Warp::new(rng.random_range(10..=18)).ok_or("a warp in range")?;
     let (motion, clock) = clocks.split(warp);
     let mut rare = |most: f64| if rng.random_bool(0.5) { 0.0 } else { rng.random_range(0.0..most) };
     let (stall, leap, back, halt, abandon) = (rare(0.01), rare(0.0005), rare(0.0005), rare(0.02), rare(0.001));
@@ -85,10 +87,11 @@ pub(super) fn play(seed: u64, case: u64, points: u64) -> Result<Tally, String> {
         system,
         beat: Span::from_us(64),
         sequence: 0,
+        followed: None,
         tally,
     };
     let mut idle = 0;
-    while scene.tally.offered < points && idle < 200_000 {
+    while scene.tally.offered < points && idle < 20_000 {
         let before = scene.tally.offered;
         let now = scene.system;
         scene.beat().map_err(|what| format!("{what}, at {} us of system time, {:?}", now.as_us(), scene.weather))?;
@@ -226,11 +229,8 @@ impl Scene<'_> {
         } else {
             self.motion.resume(self.sequence, epoch, self.system)
         };
-        if is_repeated {
-            // it did nothing, or it was refused before and is followed now
-            self.sequence += 1;
-        }
-        if asked.is_ok() && !is_repeated {
+        if asked.is_ok() && self.followed != Some(self.sequence) {
+            self.followed = Some(self.sequence);
             self.tally.halts += 1;
             let duration = super::truth::real(self.motion.warp().duration().steps());
             self.judge.clock.ask(is_stop, epoch.max(self.system).steps(), duration);
@@ -250,10 +250,12 @@ impl Scene<'_> {
 
 /// Limits of all sizes, in differences of any interval, that leave something of themselves beside the stop.
 fn random_config(rng: &mut Pcg64, warp: Warp) -> Option<(Truth, AxisConfig)> {
-    let interval = IntervalLog2::new(rng.random_range(8..=14))?;
+    // a stop of about two to a thousand intervals
+    let interval = IntervalLog2::new(rng.random_range(8..=warp.log2().min(14)))?;
+    let steps_max = (1 << (warp.log2() - interval.log2())).min(150);
     let velocity: i32 = 1 << rng.random_range(6..=25);
     let velocity = rng.random_range(velocity / 2..=velocity);
-    let at_full = (velocity / rng.random_range(1..=150)).max(1);
+    let at_full = (velocity / rng.random_range(1..=steps_max)).max(1);
     let at_rest =
         if rng.random_bool(0.5) { at_full } else { at_full.saturating_add(rng.random_range(0..=2 * at_full)) };
     let jerk = (at_full / rng.random_range(1..=30)).max(1);
@@ -269,6 +271,10 @@ fn random_config(rng: &mut Pcg64, warp: Warp) -> Option<(Truth, AxisConfig)> {
     };
     let (acceleration, jerk) = (line(rng, at_rest, at_full), line(rng, jerk_at_rest, jerk));
     let truth = Truth { min, max, velocity, acceleration, jerk };
+    let reserve = warp.reserve(interval, velocity, at_rest);
+    if reserve.acceleration >= at_full || reserve.jerk >= jerk.at_full {
+        return None;
+    }
     let config = AxisConfig {
         interval,
         limits: truth.limits()?,
