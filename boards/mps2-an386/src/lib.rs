@@ -6,7 +6,9 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
-pub use board_mps2_an500::{Board, Uart, UartRx, UartTx, clock, kept, now, outputs, pac, pace, uart, watchdog};
+pub use board_mps2_an500::{
+    Board, Uart, UartRx, UartTx, clock, kept, motors, now, outputs, pac, pace, signals, uart, watchdog,
+};
 
 /// Where this board keeps what outlives a reset: its pseudo-static RAM, 16 MiB, which QEMU calls `mps.ram`.
 pub const REGION: kept::Region = kept::Region::at(0x2100_0000);

@@ -15,6 +15,7 @@
 //! | 0x5000 | 20 | the factory record: who the device is |
 //! | 0x6000 | 32 | what the latency probe counted, with the feature `probe` |
 //! | 0x7000 | 52 | what was put out at the motors' pins, see [`crate::outputs`] |
+//! | 0x7800 | 24 | what was put out at the signals' pins, see [`crate::signals`] |
 //!
 //! These chips have no identity in silicon, so that whoever starts one gives it a factory record, little-endian: `0x0511_fac7`, twelve
 //! bytes of unique id, an index into `firmware_app::kind::KINDS`. It may stand in the file before the start, or be loaded, eight bytes
@@ -39,6 +40,8 @@ const FACTORY: usize = 0x5000;
 pub(crate) const PROBE: usize = 0x6000;
 /// Offset of the outputs' record.
 pub(crate) const OUTPUTS: usize = 0x7000;
+/// Offset of the signals' record.
+pub(crate) const SIGNALS: usize = 0x7800;
 
 const _: () = assert!(size_of::<SettingsFlash>() <= REPORT - SETTINGS && REPORT_WORDS * 4 <= FACTORY - REPORT);
 

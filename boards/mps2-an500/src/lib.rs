@@ -1,7 +1,7 @@
 //! QEMU's `mps2-an500`: a Cortex-M7 with five UARTs. There is such a board, but what this crate was tried on is the emulated one.
 //!
 //! - **Walk:** [`Board::new`] hands out what an image's tasks own; the interrupt bodies are [`UartRx::on_interrupt`] and
-//!   [`UartTx::on_interrupt`]. [`pace`] → interpolation → [`outputs`].
+//!   [`UartTx::on_interrupt`]. [`pace`] → interpolation → [`outputs`], [`signals`]; [`motors`] has them as interpolation takes them.
 //! - **Invariants:** each part is handed out once. Nothing here knows a node: an image brings the two together.
 //! - **Context:** start-up for [`Board::new`]; else as each part says.
 //! - **Clauses:** `[NOD-08]` capture, `[DSC-05]` what is kept.
@@ -14,9 +14,11 @@
 pub mod clock;
 pub mod kept;
 pub mod latency;
+pub mod motors;
 pub mod outputs;
 pub mod pac;
 pub mod pace;
+pub mod signals;
 pub mod uart;
 pub mod watchdog;
 
@@ -25,6 +27,7 @@ use latency::Latency;
 use outputs::{Enable, StepPins};
 use pac::Interrupt;
 use pace::Pace;
+use signals::SignalPins;
 use uart::{UART_COUNT, UartBuffers};
 use watchdog::Watchdog;
 
@@ -58,14 +61,19 @@ pub struct Board {
     pub steps: StepPins,
     /// Motor drivers, off.
     pub enable: Enable,
+    /// Pins of signals, all low.
+    pub signals: SignalPins,
 }
 
 impl Board {
     /// Starts the clock and the UARTs. `region` is this board's [`REGION`], `buffers` memory for the UARTs.
     pub fn new(device: pac::Peripherals, region: Region, buffers: &'static mut [UartBuffers; UART_COUNT]) -> Self {
         clock::start(device.timer0);
-        let [port0, port1] = device.ports;
+        let [port0, port1, port2] = device.ports;
+        // SAFETY: the one writes LEDs, the other reads buttons
+        let buttons = unsafe { device.io.share() };
         let (steps, enable) = outputs::start(port0, port1, device.io, region);
+        let signals = signals::start(port2, buttons, region);
         let ([r0, r1, r2, r3, r4], [b0, b1, b2, b3, b4]) = (device.uarts, buffers);
         let [u0, u1, u2, u3, u4] = [
             uart::start(r0, Interrupt::UART0TX, b0),
@@ -86,6 +94,7 @@ impl Board {
             pace: Pace::new(device.systick),
             steps,
             enable,
+            signals,
         }
     }
 }

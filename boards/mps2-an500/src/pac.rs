@@ -126,7 +126,12 @@ const _: () = assert!(core::mem::offset_of!(GpioRegisters, alternate_clear) == 0
 pub struct IoRegisters {
     /// Bits 0 and 1: the LEDs of the user.
     pub led: VolatileCell<u32>,
+    reserved: u32,
+    /// Bits 0 and 1: the buttons of the user, 1 where pressed. QEMU has none: they read 0.
+    pub button: VolatileCell<u32>,
 }
+
+const _: () = assert!(core::mem::offset_of!(IoRegisters, button) == 8);
 
 /// The watchdog.
 #[repr(C)]
@@ -166,9 +171,9 @@ pub struct Peripherals {
     pub watchdog: Registers<WatchdogRegisters>,
     /// The processor's own timer.
     pub systick: Registers<SystickRegisters>,
-    /// Blocks 0 and 1 of pins.
-    pub ports: [Registers<GpioRegisters>; 2],
-    /// LEDs.
+    /// Blocks 0 to 2 of pins.
+    pub ports: [Registers<GpioRegisters>; 3],
+    /// LEDs and buttons.
     pub io: Registers<IoRegisters>,
 }
 
@@ -194,7 +199,7 @@ impl Peripherals {
                 ],
                 watchdog: Registers::at(0x4000_8000),
                 systick: Registers::at(0xe000_e010),
-                ports: [Registers::at(0x4001_0000), Registers::at(0x4001_1000)],
+                ports: [Registers::at(0x4001_0000), Registers::at(0x4001_1000), Registers::at(0x4001_2000)],
                 io: Registers::at(0x4002_8000),
             }
         }

@@ -5,7 +5,7 @@
 //! it does with bytes and packets is `firmware-app`'s, which the emulated boards run.
 //!
 //! - **Walk:** UART → interrupt → ring → [`uart`] → the image's routing task → [`uart`] → interrupt → UART; the same with [`usb`].
-//!   [`pace`] → interpolation → [`outputs`].
+//!   [`pace`] → interpolation → [`outputs`], [`signals`]; [`motors`] has them as interpolation takes them.
 //! - **Invariants:** nothing here knows a node. No DMA; all data in DTCM, so that caches need no upkeep: see `memory.rs`.
 //! - **Context:** [`Board::init`] in `init`, the rest where its module says.
 //!
@@ -17,6 +17,7 @@
 //! | link 3 | OTG2, full speed: PA11 D−, PA12 D+ | CN13, "USB USER" | `OTG_FS` |
 //! | kind, bits 0, 1, 2 | PE4, PE5, PE6 | CN9: D57, D58, D59 | |
 //! | steps, directions, enable | PE9 to PE15, PE0, PE2 | CN10, see [`outputs`] | |
+//! | signals | PC8 to PC11, PG2, PG3 | CN8, see [`signals`] | |
 //! | beat | | | `TIM3` |
 //!
 //! The kind's pins are read once at start-up: open is 0, tied to 3.3 V is 1; the number is an index into `firmware_app::kind::KINDS`.
@@ -35,8 +36,10 @@ pub mod clock;
 pub mod flash;
 pub mod kept;
 mod memory;
+pub mod motors;
 pub mod outputs;
 pub mod pace;
+pub mod signals;
 pub mod uart;
 pub mod usb;
 
@@ -83,6 +86,8 @@ pub struct Board {
     pub steps: outputs::StepPins,
     /// Motor drivers, off.
     pub enable: outputs::Enable,
+    /// Pins of signals, all low.
+    pub signals: signals::SignalPins,
     /// Where settings are kept.
     pub settings: Option<flash::SettingsFlash>,
     /// Silicon's number, 96 bits.
@@ -142,6 +147,7 @@ impl Board {
         outputs::low(e.pe0);
         outputs::low(e.pe2);
         let (steps, enable) = outputs::of_low_pins();
+        let signals = signals::start(p.GPIOC.split(peripheral.GPIOC), p.GPIOG.split(peripheral.GPIOG));
         let straps = [
             e.pe4.into_pull_down_input().is_high(),
             e.pe5.into_pull_down_input().is_high(),
@@ -175,6 +181,7 @@ impl Board {
             pace,
             steps,
             enable,
+            signals,
             settings: flash::SettingsFlash::new(p.FLASH),
             unique_id,
             straps,

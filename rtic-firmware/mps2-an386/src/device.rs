@@ -4,6 +4,7 @@
 //! - **Invariant:** the kind comes from the settings, else from the factory record; the boot epoch is the number of starts.
 //! - **Context:** start-up, before any interrupt. **Clauses:** `[LNK-02]`, `[SYS-04]`.
 
+use crate::interpolation::{self, Beats, Parts, Rings};
 use board_mps2_an386::clock::{Wake, now};
 use board_mps2_an386::kept::SettingsFlash;
 use board_mps2_an386::pac::{Interrupt, Peripherals};
@@ -26,7 +27,7 @@ pub(crate) const SERVE: Interrupt = Interrupt::PORT1;
 const SLOTS: usize = 32;
 /// Bytes of a slot.
 const BYTES: usize = MTU_BYTES as usize;
-/// The netresponder, echo, stream and spin.
+/// The netresponder, echo, stream, spin and motion.
 const PORTS: usize = firmware_app::kind::PORTS_MAX;
 /// Bytes of the longest message that echo takes.
 const MESSAGE_BYTES: usize = 1024;
@@ -59,6 +60,7 @@ const GATEWAY: GatewayConfig = GatewayConfig {
 pub(crate) struct Started {
     pub(crate) node: Node,
     pub(crate) services: Services,
+    pub(crate) beats: Beats,
     pub(crate) links: Links,
     pub(crate) rx: [UartRx; UART_COUNT],
     pub(crate) tx: [UartTx; UART_COUNT],
@@ -69,7 +71,11 @@ pub(crate) struct Started {
 }
 
 /// Puts the device together.
-pub(crate) fn start(peripherals: Peripherals, buffers: &'static mut [UartBuffers; UART_COUNT]) -> Started {
+pub(crate) fn start(
+    peripherals: Peripherals,
+    buffers: &'static mut [UartBuffers; UART_COUNT],
+    rings: &'static mut Rings,
+) -> Started {
     let board = Board::new(peripherals, REGION, buffers);
     let settings = Settings::load(board.kept.settings, 0..SettingsFlash::BYTES).ok();
     let kind = settings
@@ -79,16 +85,19 @@ pub(crate) fn start(peripherals: Peripherals, buffers: &'static mut [UartBuffers
         .unwrap_or(board.factory.kind);
     let (boots, name) = settings.as_ref().map_or((0, ""), |settings| (settings.boots(), settings.name()));
     let device = Device::new(kind, board.factory.unique_id, boots, BuildKind::Firmware, name);
-    let (mut node, services) = device.expect("PORTS are as many as every kind has").into_parts();
+    let (mut node, mut services) = device.expect("PORTS are as many as every kind has").into_parts();
     if let Some(report) = Report::decode(board.kept.report) {
         for line in report.lines() {
             node.debug_mut().record(Verbosity::Events, now(), || Event::Text(line));
         }
     }
+    let Board { pace, steps, enable, signals, .. } = board;
+    let beats = interpolation::start(rings, &mut services, Parts { pace, steps, enable, signals });
     let links = board.wires.map(|wire| Link::new(wire, GATEWAY, &mut node).expect("a gateway for each UART"));
     Started {
         node,
         services,
+        beats,
         links,
         rx: board.rx,
         tx: board.tx,

@@ -2,6 +2,7 @@
 //!
 //! | task                  | bound to     | priority | period / deadline     | shares                | worst cycles |
 //! |-----------------------|--------------|----------|-----------------------|-----------------------|--------------|
+//! | `interpolate`         | SysTick      | 4        | 64 µs                 | -                     | not modelled |
 //! | `wake`                | TIMER1       | 3        | set by `route`        | -                     | not modelled |
 //! | `link0_rx`–`link4_rx` | `UARTnRX`    | 3        | 6.4 µs: the next byte | receive rings         | not modelled |
 //! | `link0_tx`–`link4_tx` | `UARTnTX`    | 3        | none: the wire idles  | frame buffers         | not modelled |
@@ -15,10 +16,12 @@
 
 mod device;
 mod handlers;
+mod interpolation;
 
 #[rtic::app(device = board_mps2_an386::pac, peripherals = true)]
 mod app {
     use crate::device::{Links, Locked, Node, ROUTE, SERVE, Services, Settings, start};
+    use crate::interpolation::{Beats, Rings};
     use board_mps2_an386::clock::{Wake, WakeInterrupt, keep, now};
     use board_mps2_an386::uart::{UART_COUNT, UartBuffers};
     use board_mps2_an386::watchdog::Watchdog;
@@ -47,6 +50,7 @@ mod app {
         tx2: UartTx,
         tx3: UartTx,
         tx4: UartTx,
+        beats: Beats,
         links: Links,
         services: Services,
         wake: Wake,
@@ -55,9 +59,12 @@ mod app {
         settings: Option<Settings>,
     }
 
-    #[init(local = [uart_buffers: [UartBuffers; UART_COUNT] = [const { UartBuffers::new() }; UART_COUNT]])]
+    #[init(local = [
+        uart_buffers: [UartBuffers; UART_COUNT] = [const { UartBuffers::new() }; UART_COUNT],
+        rings: Rings = Rings::new(),
+    ])]
     fn init(cx: init::Context) -> (Shared, Local) {
-        let device = start(cx.device, cx.local.uart_buffers);
+        let device = start(cx.device, cx.local.uart_buffers, cx.local.rings);
         let [rx0, rx1, rx2, rx3, rx4] = device.rx;
         let [tx0, tx1, tx2, tx3, tx4] = device.tx;
         let (wake, wake_interrupt) = device.wake.split();
@@ -72,6 +79,7 @@ mod app {
             tx2,
             tx3,
             tx4,
+            beats: device.beats,
             links: device.links,
             services: device.services,
             wake,
@@ -117,6 +125,11 @@ mod app {
     fn wake(cx: wake::Context) {
         cx.local.wake_interrupt.on_interrupt();
         pend(ROUTE);
+    }
+
+    #[task(binds = SysTick, priority = 4, local = [beats])]
+    fn interpolate(cx: interpolate::Context) {
+        cx.local.beats.beat();
     }
 
     #[task(binds = UART0RX, priority = 3, local = [rx0])]

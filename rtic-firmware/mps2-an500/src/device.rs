@@ -4,7 +4,9 @@
 //! - **Invariant:** the kind comes from the settings, else from the factory record; the boot epoch is the number of starts.
 //! - **Context:** start-up, before any interrupt. **Clauses:** `[LNK-02]`, `[SYS-04]`.
 
-use crate::features::{KeptSettings, Probe, RunningWatchdog, Turns, past_reports, start_probe};
+use crate::features::{
+    Beats, KeptSettings, MotionParts, Probe, Rings, RunningWatchdog, Turns, past_reports, start_motion, start_probe,
+};
 use board_mps2_an500::clock::Wake;
 use board_mps2_an500::pac::{Interrupt, Peripherals};
 use board_mps2_an500::uart::{BIT_RATE, CHECK, MTU_BYTES, UART_COUNT, Uart, UartBuffers};
@@ -25,7 +27,7 @@ pub(crate) const SERVE: Interrupt = Interrupt::PORT1;
 const SLOTS: usize = 32;
 /// Bytes of a slot.
 const BYTES: usize = MTU_BYTES as usize;
-/// The netresponder, echo, stream and spin.
+/// The netresponder, echo, stream, spin and motion.
 const PORTS: usize = firmware_app::kind::PORTS_MAX;
 /// Bytes of the longest message that echo takes.
 const MESSAGE_BYTES: usize = 1024;
@@ -55,6 +57,7 @@ const GATEWAY: GatewayConfig = GatewayConfig {
 pub(crate) struct Started {
     pub(crate) node: Node,
     pub(crate) services: Services,
+    pub(crate) beats: Beats,
     pub(crate) links: Links,
     pub(crate) rx: [UartRx; UART_COUNT],
     pub(crate) tx: [UartTx; UART_COUNT],
@@ -66,19 +69,26 @@ pub(crate) struct Started {
 }
 
 /// Puts the device together.
-pub(crate) fn start(peripherals: Peripherals, buffers: &'static mut [UartBuffers; UART_COUNT]) -> Started {
+pub(crate) fn start(
+    peripherals: Peripherals,
+    buffers: &'static mut [UartBuffers; UART_COUNT],
+    rings: &'static mut Rings,
+) -> Started {
     let board = Board::new(peripherals, REGION, buffers);
     let settings = KeptSettings::load(board.kept.settings);
     let kind = settings.kind().and_then(|kind| KINDS.get(usize::from(kind))).unwrap_or(board.factory.kind);
     let device = Device::new(kind, board.factory.unique_id, settings.boots(), BuildKind::Firmware, settings.name());
-    let (mut node, services) = device.expect("PORTS are as many as every kind has").into_parts();
+    let (mut node, mut services) = device.expect("PORTS are as many as every kind has").into_parts();
     past_reports(board.kept.report, &mut node);
+    let Board { pace, steps, enable, signals, .. } = board;
+    let beats = start_motion(rings, &mut services, MotionParts { pace, steps, enable, signals });
     let links = board.wires.map(|wire| Link::new(wire, GATEWAY, &mut node).expect("a gateway for each UART"));
     settings.restore(&mut node);
     let (probe, turns) = start_probe(board.latency);
     Started {
         node,
         services,
+        beats,
         links,
         rx: board.rx,
         tx: board.tx,

@@ -6,10 +6,47 @@
 
 #![allow(clippy::unused_self, reason = "what stands in for a feature has the same shape")]
 
+pub(crate) use motion::{Beats, Parts as MotionParts, Rings, start as start_motion};
 pub(crate) use probe::{Probe, Turns, start as start_probe};
 pub(crate) use report::past_reports;
 pub(crate) use settings::KeptSettings;
 pub(crate) use watchdog::RunningWatchdog;
+
+#[cfg(feature = "motion")]
+use crate::interpolation as motion;
+
+#[cfg(not(feature = "motion"))]
+mod motion {
+    use crate::device::Services;
+    use board_mps2_an500::outputs::{Enable, StepPins};
+    use board_mps2_an500::pace::Pace;
+    use board_mps2_an500::signals::SignalPins;
+
+    /// Nothing to share.
+    pub(crate) struct Rings;
+    /// Nothing to play.
+    pub(crate) struct Beats;
+
+    /// The board's parts for it, which stay as they are.
+    #[expect(dead_code, reason = "the beat stands still and the pins stay low")]
+    pub(crate) struct Parts {
+        pub(crate) pace: Pace,
+        pub(crate) steps: StepPins,
+        pub(crate) enable: Enable,
+        pub(crate) signals: SignalPins,
+    }
+
+    impl Rings {
+        pub(crate) const fn new() -> Self {
+            Self
+        }
+    }
+
+    /// Plays nothing: a motion port refuses.
+    pub(crate) fn start(_: &'static mut Rings, _: &mut Services, _: Parts) -> Beats {
+        Beats
+    }
+}
 
 #[cfg(feature = "settings")]
 mod settings {

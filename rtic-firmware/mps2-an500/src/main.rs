@@ -2,6 +2,7 @@
 //!
 //! | task                  | bound to     | priority | period / deadline     | shares                | worst cycles |
 //! |-----------------------|--------------|----------|-----------------------|-----------------------|--------------|
+//! | `interpolate`         | SysTick      | 4        | 64 µs                 | -                     | not modelled |
 //! | `wake`                | TIMER1       | 3        | set by `route`        | -                     | not modelled |
 //! | `link0_rx`–`link4_rx` | `UARTnRX`    | 3        | 6.4 µs: the next byte | receive rings         | not modelled |
 //! | `link0_tx`–`link4_tx` | `UARTnTX`    | 3        | none: the wire idles  | frame buffers         | not modelled |
@@ -30,12 +31,14 @@ mod device;
 #[cfg(feature = "node")]
 mod features;
 mod handlers;
+#[cfg(feature = "motion")]
+mod interpolation;
 
 #[cfg(feature = "node")]
 #[rtic::app(device = board_mps2_an500::pac, peripherals = true)]
 mod app {
     use crate::device::{Links, Locked, Node, ROUTE, SERVE, Services, start};
-    use crate::features::{KeptSettings, Probe, RunningWatchdog, Turns};
+    use crate::features::{Beats, KeptSettings, Probe, Rings, RunningWatchdog, Turns};
     use board_mps2_an500::clock::{Wake, WakeInterrupt, keep, now};
     use board_mps2_an500::uart::{UART_COUNT, UartBuffers};
     use board_mps2_an500::{UartRx, UartTx};
@@ -63,6 +66,7 @@ mod app {
         tx2: UartTx,
         tx3: UartTx,
         tx4: UartTx,
+        beats: Beats,
         links: Links,
         services: Services,
         wake: Wake,
@@ -73,9 +77,12 @@ mod app {
         turns: Turns,
     }
 
-    #[init(local = [uart_buffers: [UartBuffers; UART_COUNT] = [const { UartBuffers::new() }; UART_COUNT]])]
+    #[init(local = [
+        uart_buffers: [UartBuffers; UART_COUNT] = [const { UartBuffers::new() }; UART_COUNT],
+        rings: Rings = Rings::new(),
+    ])]
     fn init(cx: init::Context) -> (Shared, Local) {
-        let device = start(cx.device, cx.local.uart_buffers);
+        let device = start(cx.device, cx.local.uart_buffers, cx.local.rings);
         let [rx0, rx1, rx2, rx3, rx4] = device.rx;
         let [tx0, tx1, tx2, tx3, tx4] = device.tx;
         let (wake, wake_interrupt) = device.wake.split();
@@ -90,6 +97,7 @@ mod app {
             tx2,
             tx3,
             tx4,
+            beats: device.beats,
             links: device.links,
             services: device.services,
             wake,
@@ -141,6 +149,12 @@ mod app {
     #[task(binds = DUALTIMER, priority = 3, local = [probe])]
     fn probe(cx: probe::Context) {
         cx.local.probe.on_interrupt();
+    }
+
+    #[cfg(feature = "motion")]
+    #[task(binds = SysTick, priority = 4, local = [beats])]
+    fn interpolate(cx: interpolate::Context) {
+        cx.local.beats.beat();
     }
 
     #[task(binds = UART0RX, priority = 3, local = [rx0])]

@@ -30,7 +30,7 @@ const SLOTS: usize = 32;
 const BYTES: usize = MTU_BYTES as usize;
 /// The UARTs and USB.
 const GATEWAYS: usize = UART_COUNT + 1;
-/// The netresponder, echo, stream and spin.
+/// The netresponder, echo, stream, spin and motion.
 const PORTS: usize = firmware_app::kind::PORTS_MAX;
 /// Bytes of the longest message that echo takes.
 const MESSAGE_BYTES: usize = 1024;
@@ -50,6 +50,28 @@ pub(crate) type UsbLink = Link<board_stm32h743_nucleo::usb::UsbWire, BYTES, FRAM
 /// No link.
 #[cfg(not(feature = "usb"))]
 pub(crate) type UsbLink = ();
+
+/// What both halves of motion share.
+#[cfg(feature = "motion")]
+pub(crate) type Rings = crate::interpolation::Rings;
+/// Nothing.
+#[cfg(not(feature = "motion"))]
+pub(crate) struct Rings;
+
+#[cfg(not(feature = "motion"))]
+impl Rings {
+    /// None.
+    pub(crate) const fn new() -> Self {
+        Self
+    }
+}
+
+/// All that the highest task has.
+#[cfg(feature = "motion")]
+pub(crate) type Beats = crate::interpolation::Beats;
+/// It does not beat.
+#[cfg(not(feature = "motion"))]
+pub(crate) type Beats = ();
 
 /// A UART as a gateway. Each may hold a quarter of the slots, so that no one link can fill the pool.
 const UART: GatewayConfig = GatewayConfig {
@@ -150,6 +172,8 @@ pub(crate) struct Parts {
     pub(crate) links: Links,
     /// Routing's own.
     pub(crate) routing: Routing,
+    /// Interpolation's own.
+    pub(crate) beats: Beats,
     /// Serving's own.
     pub(crate) services: NucleoServices,
     /// Idle's own.
@@ -165,12 +189,23 @@ pub(crate) fn start(
     core: cortex_m::Peripherals,
     peripherals: Peripherals,
     buffers: &'static mut [UartBuffers; UART_COUNT],
+    rings: &'static mut Rings,
 ) -> Parts {
     let board = Board::init(core, peripherals, buffers, cfg!(feature = "usb"));
     let (keeper, name, boots) = settings(board.settings);
     let kind = kind::KINDS.get(usize::from(board.straps)).unwrap_or(&kind::HUB);
     let device = Device::new(kind, UniqueId(board.unique_id), boots, BuildKind::Firmware, &name);
     let (mut node, services) = device.expect("PORTS are as many as every kind has").into_parts();
+    #[cfg(feature = "motion")]
+    let (services, beats) = {
+        let mut services = services;
+        let Board { pace, steps, enable, signals, .. } = board;
+        let parts = crate::interpolation::Parts { pace, steps, enable, signals };
+        let beats = crate::interpolation::start(rings, &mut services, parts);
+        (services, beats)
+    };
+    #[cfg(not(feature = "motion"))]
+    let (Rings, beats) = (rings, ());
     #[cfg(feature = "report")]
     if let Some(report) = &board.report {
         crate::handlers::tell(&mut node, report);
@@ -200,6 +235,7 @@ pub(crate) fn start(
         node,
         links: (uarts, usb),
         routing,
+        beats,
         services,
         keeper,
         wake_interrupt: board.wake_interrupt,

@@ -2,6 +2,7 @@
 //!
 //! | task        | bound to                    | priority | period / deadline   | shares             | worst cycles |
 //! |-------------|-----------------------------|----------|---------------------|--------------------|--------------|
+//! | `interpolate` | `TIM3`                    | 4        | 64 µs               | -                  | not measured |
 //! | `link0`–`2` | `USART3`, `USART2`, `UART7` | 3        | receive FIFO, 53 µs | -                  | not measured |
 //! | `wake`      | `TIM5`                      | 2        | packet TTL          | -                  |              |
 //! | `usb`       | `OTG_FS`                    | 2        | bus, 1 ms           | links              |              |
@@ -13,7 +14,7 @@
 //!
 //! - **Walk:** a UART's interrupt fills its ring, and pends `route` when a frame has ended. `route` takes in all that came, answers the
 //!   network, sends what can leave, and pends `serve` where a port has a packet. A frame that has left pends `route` again.
-//! - **Invariants:** priority 4 is kept for interpolation. Tasks share the node by RTIC's lock, whose ceiling is `route`: no link's
+//! - **Invariants:** priority 4 is interpolation's, four axes, and shares nothing: nobody below delays an edge. Tasks share the node by RTIC's lock, whose ceiling is `route`: no link's
 //!   interrupt ever waits for the node. `serve` holds it for single calls. Of the tasks at priority 2, `route` has a lower interrupt
 //!   number than `usb`, and so runs before it where both wait: see `board_stm32h743_nucleo::usb`.
 //! - **Context:** this file is the table; what a task does is in the board (interrupts) or in `firmware-app` (all else).
@@ -26,11 +27,13 @@ mod bare;
 #[cfg(feature = "node")]
 mod device;
 mod handlers;
+#[cfg(feature = "motion")]
+mod interpolation;
 
 #[cfg(feature = "node")]
 #[rtic::app(device = board_stm32h743_nucleo::pac, peripherals = true)]
 mod app {
-    use crate::device::{Keeper, Links, NucleoNode, NucleoServices, ROUTE, Routing, SERVE, SharedNode};
+    use crate::device::{Beats, Keeper, Links, NucleoNode, NucleoServices, ROUTE, Rings, Routing, SERVE, SharedNode};
     use board_stm32h743_nucleo::clock::{WakeInterrupt, now};
     use board_stm32h743_nucleo::uart::{UART_COUNT, UartBuffers, UartInterrupt};
     use firmware_app::lock::SharedMailbox;
@@ -51,18 +54,22 @@ mod app {
         uart1: UartInterrupt,
         uart2: UartInterrupt,
         wake_interrupt: WakeInterrupt,
+        beats: Beats,
         routing: Routing,
         services: NucleoServices,
         keeper: Keeper,
     }
 
-    #[init(local = [buffers: [UartBuffers; UART_COUNT] = [const { UartBuffers::new() }; UART_COUNT]])]
+    #[init(local = [
+        buffers: [UartBuffers; UART_COUNT] = [const { UartBuffers::new() }; UART_COUNT],
+        rings: Rings = Rings::new(),
+    ])]
     fn init(cx: init::Context) -> (Shared, Local) {
-        let parts = crate::device::start(cx.core, cx.device, cx.local.buffers);
+        let parts = crate::device::start(cx.core, cx.device, cx.local.buffers, cx.local.rings);
         let [uart0, uart1, uart2] = parts.uart_interrupts;
-        let crate::device::Parts { node, links, routing, services, keeper, wake_interrupt, .. } = parts;
+        let crate::device::Parts { node, links, routing, beats, services, keeper, wake_interrupt, .. } = parts;
         pend(ROUTE);
-        let local = Local { uart0, uart1, uart2, wake_interrupt, routing, services, keeper };
+        let local = Local { uart0, uart1, uart2, wake_interrupt, beats, routing, services, keeper };
         (Shared { node, links, services_wake: None }, local)
     }
 
@@ -74,6 +81,12 @@ mod app {
             cx.local.keeper.keep(&changes);
             cortex_m::asm::wfi();
         }
+    }
+
+    #[cfg(feature = "motion")]
+    #[task(binds = TIM3, priority = 4, local = [beats])]
+    fn interpolate(cx: interpolate::Context) {
+        cx.local.beats.beat();
     }
 
     #[task(binds = USART3, priority = 3, local = [uart0])]
