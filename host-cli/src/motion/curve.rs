@@ -45,7 +45,11 @@ pub enum CurveError {
         found: usize,
     },
     /// Two neighbours are further apart than a device takes.
-    #[error("the points {point} and {} of axis {axis} are {distance} LSB apart, more than the {DIFFERENCE_MAX} that a device plays", point + 1)]
+    #[error(
+        "the points {point} and {} of axis {axis} are {} LSB apart, more than the {DIFFERENCE_MAX} that a device plays",
+        point + 1,
+        distance.unsigned_abs()
+    )]
     TooFar {
         /// Number of the axis, from 0.
         axis: usize,

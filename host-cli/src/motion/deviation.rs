@@ -91,7 +91,7 @@ pub enum NotMeasured {
     #[error("the path is too short for open ends")]
     TooShort,
     /// Two points are further apart than a device takes.
-    #[error("points {at_s} s after the first row are {distance} LSB apart, more than a device plays")]
+    #[error("points {at_s} s after the first row are {} LSB apart, more than a device plays", distance.unsigned_abs())]
     TooFast {
         /// After the first row, s.
         at_s: f64,

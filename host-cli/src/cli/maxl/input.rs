@@ -86,8 +86,9 @@ pub(super) fn no_curve(file: &Path, error: &CurveError, at: impl Fn(usize, usize
         CurveError::TooFar { axis, point, distance } => {
             let most = fixed_math::spline::DIFFERENCE_MAX;
             let what = format!(
-                "{}: {distance} LSB from the point before it, more than the {most} that a device plays",
-                at(*axis, point + 1)
+                "{}: {} LSB from the point before it, more than the {most} that a device plays",
+                at(*axis, point + 1),
+                distance.unsigned_abs()
             );
             let next = "take a coarser step by --lsb, or points that are closer in time";
             CliError::new(Exit::Io, what, place(file), next)
