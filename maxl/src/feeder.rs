@@ -493,6 +493,10 @@ impl<'a, const QUEUE: usize, const HISTORY: usize> Feeder<'a, QUEUE, HISTORY> {
             return false;
         }
         let Some(series) = &mut self.series else { return false };
+        if series.knot.is_at_rest() && series.held.iter().all(Option::is_none) {
+            // the series has ended, and nothing is missing
+            return false;
+        }
         let may = series.rebuilt_in_row < series.config.missing_max && series.rebuilt < series.config.rebuilt_max;
         if !may {
             return false;
