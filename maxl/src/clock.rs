@@ -69,28 +69,30 @@ struct Turn {
     epoch: NetTime,
     /// Track time then.
     track: NetTime,
+    /// How much of it had passed at the epoch already: none, unless system time stepped since.
+    passed: Span,
 }
 
 impl Turn {
     /// Track time of a clock that has always run.
-    const NONE: Self = Self { warp: Warp::SHORTEST, is_stop: false, epoch: NetTime::ZERO, track: NetTime::ZERO };
+    const NONE: Self = Self {
+        warp: Warp::SHORTEST,
+        is_stop: false,
+        epoch: NetTime::ZERO,
+        track: NetTime::ZERO,
+        passed: Warp::SHORTEST.duration(),
+    };
 
     fn at(&self, system: NetTime) -> TrackTime {
-        let since = system.since(self.epoch);
-        if *self == Self::NONE {
-            return TrackTime { time: system, rate: RATE_ONE };
-        }
-        let (passed, rate) = if self.is_stop {
-            (self.warp.stopped(since), self.warp.stop_rate(since))
-        } else {
-            (self.warp.resumed(since), self.warp.resume_rate(since))
-        };
-        TrackTime { time: self.track + passed, rate }
+        let since = self.passed + system.since(self.epoch);
+        let track = |since| if self.is_stop { self.warp.stopped(since) } else { self.warp.resumed(since) };
+        let rate = if self.is_stop { self.warp.stop_rate(since) } else { self.warp.resume_rate(since) };
+        TrackTime { time: self.track + track(since).saturating_sub(track(self.passed)), rate }
     }
 
     /// When it is through.
     fn end(&self) -> NetTime {
-        if *self == Self::NONE { NetTime::ZERO } else { self.epoch + self.warp.duration() }
+        self.epoch + self.warp.duration().saturating_sub(self.passed)
     }
 
     fn state(&self, system: NetTime) -> MotionState {
@@ -318,7 +320,7 @@ impl MotionClock<'_> {
         if let Some(epoch) = expected.map(on_grid) {
             let track = self.newest().at(epoch).time;
             let Request { warp, is_stop, .. } = request;
-            self.asked = Some(Turn { warp, is_stop, epoch, track });
+            self.asked = Some(Turn { warp, is_stop, epoch, track, passed: Span::ZERO });
         }
         Ok(())
     }
@@ -390,27 +392,17 @@ impl BeatClock<'_> {
     }
 
     fn turn_next(&mut self, warp: Warp, is_stop: bool, epoch: NetTime) -> Turn {
-        let turn = Turn { warp, is_stop, epoch, track: self.turn.at(epoch).time };
+        let turn = Turn { warp, is_stop, epoch, track: self.turn.at(epoch).time, passed: Span::ZERO };
         self.next = Some(turn);
         turn
     }
 
-    /// System time is `system` now and was later before: all epochs go back with it, so that track time goes on.
+    /// System time is `system` now and was later before: what is under way goes on from there, and what is to come keeps its distance.
     fn step_back(&mut self, system: NetTime) {
-        let back = -self.last.steps_after(system);
-        if self.turn == Turn::NONE {
-            // a resume that ended one duration ago
-            let warp = Warp::SHORTEST;
-            let used = warp.used().steps().cast_signed();
-            self.turn =
-                Turn { warp, is_stop: false, epoch: self.last.shifted(-2 * used), track: self.last.shifted(-used) };
-        }
-        // an epoch before the origin would lose what passed since: it is long over
-        let since = self.last.since(self.turn.epoch).min(self.turn.warp.duration());
-        let passed = self.turn.at(self.turn.epoch + since).time;
-        let now = self.turn.at(self.last).time;
-        self.turn.track = self.turn.track.shifted(now.steps_after(passed));
-        self.turn.epoch = system.shifted(-since.steps().cast_signed());
+        let back = system.steps_after(self.last);
+        let passed = self.turn.passed + self.last.since(self.turn.epoch);
+        let passed = passed.min(self.turn.warp.duration());
+        self.turn = Turn { epoch: system, track: self.turn.at(self.last).time, passed, ..self.turn };
         self.next = self.next.map(|next| Turn { epoch: next.epoch.shifted(back), ..next });
         self.last = system;
         if self.told.ready() {

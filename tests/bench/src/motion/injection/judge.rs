@@ -119,8 +119,12 @@ impl Judge {
 
     /// A series begins when the player has taken it: it follows, or has even come to rest again.
     fn begin(&mut self, seen: &Seen) -> Result<(), String> {
-        let before = self.last.map_or(0, |last| last.knot);
-        let is_taken = |_: &mut (Series, i32)| seen.state == PlayerState::Following || seen.knot != before;
+        let (before, was) = self.last.map_or((0, PlayerState::Idle), |last| (last.knot, last.state));
+        let is_taken = |_: &mut (Series, i32)| {
+            seen.state == PlayerState::Following
+                || seen.knot != before
+                || (was == PlayerState::Idle && seen.state != was)
+        };
         let Some((series, position)) = self.coming.take_if(is_taken) else { return Ok(()) };
         if let Some(last) = self.last
             && last.state != PlayerState::Idle
