@@ -199,7 +199,7 @@ impl<'a, const QUEUE: usize, const HISTORY: usize> Feeder<'a, QUEUE, HISTORY> {
             assert!(
                 HISTORY >= QUEUE + 8,
                 "the points in the ring, and four before them, are needed to tell what a player did"
-            )
+            );
         };
         Self {
             points,
@@ -487,7 +487,7 @@ impl<'a, const QUEUE: usize, const HISTORY: usize> Feeder<'a, QUEUE, HISTORY> {
         }
     }
 
-    /// Rebuilds the next point if it is due and may be; true if it did.
+    /// `[MOT-05]`: rebuilds the next point if it is due and may be; true if it did.
     fn rebuild(&mut self, now: NetTime) -> bool {
         if self.needed_by().is_none_or(|due| due > now) {
             return false;

@@ -17,6 +17,14 @@
 //! assert!(read.positions().eq([10, -10]));
 //! ```
 
+mod refusal;
+mod settings;
+mod status;
+
+pub use refusal::MotionRefusal;
+pub use settings::{AxisSettings, CurveSettings, StarvedPolicy, TriggerSettings};
+pub use status::{AxisState, AxisStatus, Fault, HaltReason, LimitKind};
+
 use fixed_math::time::NetTime;
 use serde::{Deserialize, Serialize};
 
@@ -42,83 +50,6 @@ pub const CLOCK_BOUND_US_MAX: u32 = 1_000;
 pub const FRESH_US_MAX: u32 = 500_000;
 /// Most bytes of a reply or refusal.
 pub const REPLY_BYTES_MAX: usize = 112;
-
-/// What a device does with an axis that has come to rest for want of points, `[MOT-07]`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub enum StarvedPolicy {
-    /// Stays where it is, held by its motor.
-    #[default]
-    Stop,
-    /// The same, and what comes to rest on its own is held too.
-    Hold,
-    /// Lets go of the motor: least energy.
-    Relax,
-}
-
-/// A limit that may fall as the velocity rises: `at_rest` up to a velocity of `knee`, then in a straight line to `at_full` at the velocity limit.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub struct CurveSettings {
-    /// At velocities up to `knee`.
-    pub at_rest: i32,
-    /// At the velocity limit; not above `at_rest`.
-    pub at_full: i32,
-    /// First difference up to which `at_rest` holds.
-    pub knee: i32,
-}
-
-/// What an axis is to be, `[MOT-02]`, `[MOT-06]`, `[MOT-25]`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub struct AxisSettings {
-    /// Logarithm to base two of the interval in µs, 8 to 14.
-    pub interval_log2: u8,
-    /// Logarithm to base two of a step's size in LSB; of a phase's for a motor driven by phases.
-    pub step_log2: u8,
-    /// What follows where points are missing.
-    pub policy: StarvedPolicy,
-    /// Most missing points rebuilt in a row.
-    pub missing_max: u8,
-    /// Time of a halt: 3·2^n µs.
-    pub stop_log2: u8,
-    /// Least position.
-    pub position_min: i32,
-    /// Greatest position.
-    pub position_max: i32,
-    /// Greatest first difference.
-    pub velocity: i32,
-    /// Greatest second difference.
-    pub acceleration: CurveSettings,
-    /// Greatest third difference.
-    pub jerk: CurveSettings,
-}
-
-/// When a channel is read, `[MOT-14]`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub enum TriggerSettings {
-    /// Never.
-    #[default]
-    Off,
-    /// Every so many beats.
-    Interval {
-        /// Beats from one reading to the next, at least 1.
-        beats: u32,
-    },
-    /// When a node becomes true, becomes false, or either.
-    Edge {
-        /// Which node.
-        node: u8,
-        /// On becoming true.
-        rising: bool,
-        /// On becoming false.
-        falling: bool,
-    },
-    /// Every so many beats while a node is true.
-    Window {
-        /// Which node.
-        node: u8,
-        /// Beats from one reading to the next, at least 1.
-        beats: u32,
-    },
-}
 
 /// What can be asked of a motion port beside taking points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -213,96 +144,6 @@ pub enum MotionRequest {
 /// Bytes of a node of the signals.
 pub const NODE_BYTES: usize = 12;
 
-/// What an axis is doing.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub enum AxisState {
-    /// Not armed.
-    #[default]
-    Idle,
-    /// Armed, at rest, waiting for its first point.
-    Armed,
-    /// Playing points.
-    Playing,
-    /// Coming to rest by itself for want of points.
-    Stopping,
-    /// At rest for want of points.
-    Starved,
-    /// The same, with its motor let go.
-    Released,
-}
-
-/// Which limit a point broke.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub enum LimitKind {
-    /// Position, or the way a stop would take.
-    Position,
-    /// First difference, or what it would become by the time acceleration is taken back.
-    Velocity,
-    /// Second difference.
-    Acceleration,
-    /// Third difference.
-    Jerk,
-}
-
-/// A limit broken, `[MOT-06]`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub struct Fault {
-    /// Time of the point, 1/256 µs.
-    pub point_steps: u64,
-    /// Which limit.
-    pub limit: LimitKind,
-    /// What it would have been.
-    pub value: i32,
-    /// What it may be.
-    pub bound: i32,
-}
-
-/// Why a device halted all motion by itself, `[MOT-06]`, `[MOT-11]`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub enum HaltReason {
-    /// An axis broke a limit.
-    Fault {
-        /// Which axis.
-        axis: u8,
-    },
-    /// No fresh point came for [`FRESH_US_MAX`].
-    Silence {
-        /// For which axis.
-        axis: u8,
-    },
-    /// The clock could not be relied on.
-    Clock,
-}
-
-/// How an axis does.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct AxisStatus {
-    /// What it is doing.
-    pub state: AxisState,
-    /// Where it was at the last beat that was told.
-    pub position: i32,
-    /// Room for points.
-    pub free: u16,
-    /// Time of the last point held, 1/256 µs; 0 before the first.
-    pub last_steps: u64,
-    /// System time less the time that tracks are played at, 1/256 µs, `[MOT-24]`.
-    pub delay_steps: u64,
-    /// The fault that is latched.
-    pub fault: Option<Fault>,
-    /// Points taken.
-    pub accepted: u32,
-    /// Points refused.
-    pub refused: u32,
-    /// Points rebuilt.
-    pub rebuilt: u32,
-    /// Times it was starved.
-    pub starved: u32,
-    /// Steps that were due in a beat beyond the one there is.
-    pub steps_late: u32,
-    /// Why the device last halted all motion by itself.
-    pub halted: Option<HaltReason>,
-}
-
 /// What a motion port answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum MotionReply {
@@ -358,116 +199,6 @@ pub enum MotionReply {
         /// Its epoch, 1/256 µs.
         epoch_steps: u64,
     },
-}
-
-/// Why a motion port refuses, `[MOT-01]`, `[MOT-04]`, `[MOT-09]`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum MotionRefusal {
-    /// The message is none of these, or of another version.
-    Malformed,
-    /// There is no such axis, track, node, output, channel or trigger.
-    NoSuch {
-        /// What was named.
-        index: u8,
-        /// How many there are.
-        count: u8,
-    },
-    /// The axis has not been armed.
-    NotArmed,
-    /// The axis moves.
-    Moving,
-    /// The point would be used already.
-    Late {
-        /// Its time, 1/256 µs.
-        point_steps: u64,
-        /// The earliest that could still be taken.
-        earliest_steps: u64,
-    },
-    /// The queue is full.
-    Full {
-        /// Points of the message that were taken.
-        taken: u8,
-        /// Points it holds.
-        capacity: u16,
-    },
-    /// Too many points are missing before it.
-    Gap {
-        /// Points missing.
-        missing: u32,
-        /// Points rebuilt in a row.
-        missing_max: u8,
-    },
-    /// Its time is not after the last one's.
-    NonMonotonic {
-        /// Its time, 1/256 µs.
-        point_steps: u64,
-        /// The last point's.
-        last_steps: u64,
-    },
-    /// Its time is no multiple of the interval.
-    OffGrid {
-        /// Its time, 1/256 µs.
-        point_steps: u64,
-        /// Logarithm to base two of the interval in µs.
-        interval_log2: u8,
-    },
-    /// A limit is broken by it: the fault is latched now.
-    Limit(Fault),
-    /// A fault was latched before.
-    Latched(Fault),
-    /// A setting is out of its range.
-    Setting {
-        /// Which of [`AxisSettings`]' fields, from 0.
-        field: u8,
-        /// What was wanted.
-        value: i32,
-        /// The nearest that could be.
-        bound: i32,
-    },
-    /// A stop would take more intervals than there may be, `[MOT-09]`.
-    StopTooLong {
-        /// Intervals.
-        intervals: u32,
-        /// The most.
-        most: u16,
-    },
-    /// A halt's time leaves no acceleration or no jerk, `[MOT-25]`.
-    HaltTooShort {
-        /// As wanted.
-        stop_log2: u8,
-        /// The least that would do.
-        least: u8,
-    },
-    /// That time is not in the history.
-    NotInHistory {
-        /// The earliest that is, 1/256 µs.
-        earliest_steps: u64,
-        /// The latest.
-        latest_steps: u64,
-    },
-    /// A halt is on its way; this waits for its end.
-    Halting,
-    /// The clock is not settled, or not sure enough.
-    Clock {
-        /// Its bound, µs.
-        bound_us: u32,
-    },
-    /// A ramp that ends before it starts, or starts before the former ends.
-    Order {
-        /// Start, 1/256 µs.
-        start_steps: u64,
-        /// End, or what is before it.
-        end_steps: u64,
-    },
-    /// A node of the signals that cannot be.
-    Node {
-        /// Its operation.
-        operation: u8,
-        /// The operand at fault.
-        operand: u8,
-    },
-    /// What was asked before is not done yet: ask again.
-    Busy,
 }
 
 impl MotionRequest {
@@ -595,13 +326,6 @@ impl ReadingMessage {
 }
 
 impl MotionReply {
-    /// Its bytes in `out`; `None` where that is shorter than [`REPLY_BYTES_MAX`] and it does not fit.
-    pub fn encode<'o>(&self, out: &'o mut [u8]) -> Option<&'o [u8]> {
-        postcard::to_slice(self, out).ok().map(|bytes| &*bytes)
-    }
-}
-
-impl MotionRefusal {
     /// Its bytes in `out`; `None` where that is shorter than [`REPLY_BYTES_MAX`] and it does not fit.
     pub fn encode<'o>(&self, out: &'o mut [u8]) -> Option<&'o [u8]> {
         postcard::to_slice(self, out).ok().map(|bytes| &*bytes)

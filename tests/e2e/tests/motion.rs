@@ -125,7 +125,7 @@ fn exact(positions: &[i32], since_us: i64) -> i32 {
     segment.sample(u32::try_from(since_us.rem_euclid(interval)).expect("small")).position
 }
 
-/// `[MOT-03]`, `[MOT-10]`: two motors behind different hubs play what they were sent, and say afterwards where they were at any instant, to the last
+/// `[MOT-02]`, `[MOT-03]`, `[MOT-10]`: two motors behind different hubs play what they were sent, and say afterwards where they were at any instant, to the last
 /// place; then they have come to rest for want of points, which is no fault.
 #[test]
 fn points_are_played_and_the_past_can_be_asked_for() {
