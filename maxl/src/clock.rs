@@ -8,7 +8,7 @@
 //! - **Context:** [`MotionClock`] in the task `serve`, [`BeatClock`] in the highest-priority task.
 
 use fixed_math::time::{NetTime, Span};
-use fixed_math::warp::{RATE_ONE, Warp};
+use fixed_math::warp::Warp;
 use heapless::Deque;
 use heapless::spsc::{Consumer, Producer, Queue};
 

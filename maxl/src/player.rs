@@ -230,14 +230,13 @@ impl<'a, const QUEUE: usize> Player<'a, QUEUE> {
 
     fn pass_knot(&mut self) {
         let point = if self.state == PlayerState::Following { self.points_in.pop() } else { None };
-        let next = match point {
-            Some(position) => self.segment.following(position),
-            None => {
-                if self.state == PlayerState::Following {
-                    self.starve(StarvedCause::NoPoint);
-                }
-                self.brake.next(self.segment.newest)
+        let next = if let Some(position) = point {
+            self.segment.following(position)
+        } else {
+            if self.state == PlayerState::Following {
+                self.starve(StarvedCause::NoPoint);
             }
+            self.brake.next(self.segment.newest)
         };
         self.segment.advance(next);
         if self.state == PlayerState::Stopping && self.segment.is_at_rest() {

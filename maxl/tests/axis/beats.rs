@@ -1,10 +1,5 @@
 //! Beats against a counter that is off, stamps that are rounded, and a system time that is slewed.
-#![expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    clippy::cast_precision_loss,
-    reason = "the truth is kept in floating point"
-)]
+#![expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the truth is kept in floating point")]
 
 use fixed_math::time::NetTime;
 use osap_maxl::beat::{BeatLock, LOCK_STEPS, TRIM_PART};

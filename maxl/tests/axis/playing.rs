@@ -76,8 +76,8 @@ fn the_feeder_knows_where_the_axis_braked() {
         let output = player.beat(now);
         feeder.run(now);
         if let Some(told) = feeder.position_at(now) {
-            let played = (output.position, output.velocity, output.acceleration);
-            assert_eq!((told.position, told.velocity, told.acceleration), played, "at {} us", now.as_us());
+            let output = (output.position, output.velocity, output.acceleration);
+            assert_eq!((told.position, told.velocity, told.acceleration), output, "at {} us", now.as_us());
         } else {
             panic!("nothing known of {} us", now.as_us());
         }

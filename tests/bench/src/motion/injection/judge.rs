@@ -70,7 +70,7 @@ impl Judge {
     pub(super) fn accept(&mut self, time: NetTime, position: i32) {
         if let Some(series) = self.coming.as_mut().map(|(series, _)| series).or(self.series.as_mut()) {
             let index = (time.steps() - series.start) / series.interval;
-            series.accepted[index as usize % KEPT] = (index, position);
+            series.accepted[slot(index)] = (index, position);
         }
     }
 
@@ -222,7 +222,7 @@ impl Judge {
             return Ok(());
         }
         let at = |index: u64| {
-            Some(series.accepted[index as usize % KEPT]).filter(|kept| kept.0 == index).map(|kept| i64::from(kept.1))
+            Some(series.accepted[slot(index)]).filter(|kept| kept.0 == index).map(|kept| i64::from(kept.1))
         };
         if at(index) == Some(point) {
             return Ok(());
@@ -252,7 +252,7 @@ impl Judge {
         let first = (seen.knot - series.start.min(seen.knot)) / series.interval;
         let wrong = seen.points.iter().zip(first..).find(|(point, index)| {
             let index = index.saturating_sub(1);
-            let kept = series.accepted[index as usize % KEPT];
+            let kept = series.accepted[slot(index)];
             series.is_following
                 && seen.state == PlayerState::Following
                 && index > 0
@@ -286,4 +286,9 @@ impl Judge {
 /// Part of an interval, by whole 2^−16 of it, which is how finely time is played.
 fn part(elapsed: u64, interval: u64) -> f64 {
     real(elapsed.saturating_mul(1 << 16) / interval) / f64::from(1 << 16)
+}
+
+/// Where a point of this index is kept.
+fn slot(index: u64) -> usize {
+    usize::try_from(index % KEPT as u64).unwrap_or(0)
 }

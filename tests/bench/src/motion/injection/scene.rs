@@ -151,7 +151,7 @@ impl Scene<'_> {
             self.tally.offered += 1;
             match self.feeder.offer(point, now) {
                 Ok(accepted) => {
-                    if accepted.free > QUEUE as u32 {
+                    if usize::try_from(accepted.free).is_ok_and(|free| free > QUEUE) {
                         return Err(format!("room for {} of {QUEUE}", accepted.free));
                     }
                     self.judge.accept(point.time, point.position);

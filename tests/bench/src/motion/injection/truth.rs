@@ -171,7 +171,7 @@ impl ClockModel {
         match (is_stop, self.next) {
             (true, Some((false, ..))) => self.next = None,
             (true, Some((true, planned, _))) if epoch.max(over) < planned => {
-                self.next = Some((true, epoch.max(over), duration))
+                self.next = Some((true, epoch.max(over), duration));
             }
             (true, None) if !stands => self.next = Some((true, epoch.max(over), duration)),
             (false, None) if stands && epoch >= self.turn.map_or(0.0, |(_, epoch, _, duration)| epoch + duration) => {
