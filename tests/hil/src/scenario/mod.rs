@@ -5,6 +5,7 @@
 
 mod clock;
 mod cycles;
+mod motion_m7;
 mod preemption;
 mod preemption_m7;
 mod round_trip;
@@ -78,6 +79,8 @@ pub enum Scenario {
     Settings,
     /// Enumeration and a scan over the Pico's USB
     Usb,
+    /// Tracks on an emulated Cortex-M7, sent over the network: its history against the exact splines, and the steps that it put out
+    MotionM7,
 }
 
 impl Scenario {
@@ -94,6 +97,7 @@ impl Scenario {
             Self::Rta,
             Self::Settings,
             Self::Usb,
+            Self::MotionM7,
         ]
     }
 
@@ -111,6 +115,7 @@ impl Scenario {
             Self::Rta => "rta",
             Self::Settings => "settings",
             Self::Usb => "usb",
+            Self::MotionM7 => "motion-m7",
         }
     }
 
@@ -130,6 +135,7 @@ impl Scenario {
             Self::Rta => rta::run(context),
             Self::Settings => settings::run(context),
             Self::Usb => usb::run(context),
+            Self::MotionM7 => motion_m7::run(context),
         }
     }
 }
