@@ -5,7 +5,7 @@
 //! - **Invariants:** track time never runs backwards, never faster than system time, and changes its rate only as a [`Warp`] does, whatever
 //!   arrives when: a stop that comes late begins at once, one that comes during a resume begins at its end. A past system time
 //!   maps to the track time that was played.
-//! - **Context:** [`MotionClock`] in the task `serve`, [`BeatClock`] in the highest-priority task.
+//! - **Context:** [`MotionClock`] in the task `serve`, [`BeatClock`] in the highest-priority task. **Clauses:** `[MOT-21]`, `[MOT-24]`.
 
 use fixed_math::time::{NetTime, Span};
 use fixed_math::warp::Warp;
@@ -125,8 +125,8 @@ enum Told {
     Cancelled,
     /// There was nothing to do.
     Nothing,
-    /// System time stepped back: all turns before are as if they had never been.
-    Stepped(Turn),
+    /// System time stepped back: all turns before are as if they had never been; with the one to come.
+    Stepped(Turn, Option<Turn>),
 }
 
 /// What the two halves of a node's motion clock share.
@@ -155,7 +155,7 @@ impl ClockRings {
             oldest: Turn::NONE,
             asked: None,
             outstanding: 0,
-            sequence: None,
+            followed: None,
             steps_back: 0,
         };
         let (turn, next, last) = (Turn::NONE, None, NetTime::ZERO);
@@ -183,25 +183,28 @@ pub struct MotionClock<'a> {
     asked: Option<Turn>,
     /// Requests that were not told of yet.
     outstanding: u8,
-    sequence: Option<u32>,
+    /// Sequence of the last halt that was followed, and whether it was a stop.
+    followed: Option<(u32, bool)>,
     steps_back: u32,
 }
 
 impl MotionClock<'_> {
     /// Track time stops from `epoch` on, or from `now` on where that is later, or at the end of a resume that is under way. A resume that has not
-    /// begun is cancelled, and a stop that was to begin later begins now. A repeated `sequence` does nothing.
+    /// begun is cancelled, and a stop that was to begin later begins now. One that is repeated does nothing; of two halts of one `sequence`
+    /// the stop goes before, `[MOT-21]`.
     ///
     /// # Errors
     /// [`HaltError::Stale`]; [`HaltError::Busy`] where three requests wait for the next beat.
     pub fn stop(&mut self, sequence: u32, epoch: NetTime, now: NetTime) -> Result<(), HaltError> {
         self.run();
-        if !self.is_new(sequence)? {
-            return Ok(());
-        }
+        self.refuse_stale(sequence)?;
         let epoch = epoch.max(now);
         let newest = self.newest();
-        let expected =
-            if newest.is_stop { (newest.epoch > epoch).then_some(epoch) } else { Some(epoch.max(newest.end())) };
+        if newest.is_stop && newest.epoch <= on_grid(epoch) {
+            self.followed = Some((sequence, true));
+            return Ok(());
+        }
+        let expected = if newest.is_stop { epoch } else { epoch.max(newest.end()) };
         self.ask(sequence, Request { warp: self.warp, is_stop: true, epoch }, expected)
     }
 
@@ -211,8 +214,12 @@ impl MotionClock<'_> {
     /// [`HaltError::NotStopped`], [`HaltError::StillStopping`], [`HaltError::Stale`], [`HaltError::Busy`].
     pub fn resume(&mut self, sequence: u32, epoch: NetTime, now: NetTime) -> Result<(), HaltError> {
         self.run();
-        if !self.is_new(sequence)? {
-            return Ok(());
+        self.refuse_stale(sequence)?;
+        match self.followed {
+            // of two halts of one sequence the stop goes before
+            Some((last, true)) if last == sequence => return Err(HaltError::Stale { sequence, last }),
+            Some((last, false)) if last == sequence => return Ok(()),
+            _ => {}
         }
         if self.outstanding > 0 {
             return Err(HaltError::Busy);
@@ -225,13 +232,13 @@ impl MotionClock<'_> {
         if epoch < until {
             return Err(HaltError::StillStopping { until });
         }
-        self.ask(sequence, Request { warp: newest.warp, is_stop: false, epoch }, Some(epoch))
+        self.ask(sequence, Request { warp: newest.warp, is_stop: false, epoch }, epoch)
     }
 
     /// Hears what the interrupt's half did.
     pub fn run(&mut self) {
         while let Some(told) = self.told.dequeue() {
-            if !matches!(told, Told::Stepped(_)) {
+            if !matches!(told, Told::Stepped(..)) {
                 self.outstanding = self.outstanding.saturating_sub(1);
             }
             if self.outstanding == 0 {
@@ -247,9 +254,10 @@ impl MotionClock<'_> {
                     let _cancelled = self.kept.pop_back();
                 }
                 Told::Nothing => {}
-                Told::Stepped(turn) => {
+                Told::Stepped(turn, next) => {
                     self.kept.clear();
                     self.oldest = turn;
+                    next.into_iter().for_each(|next| self.keep(next));
                     self.steps_back = self.steps_back.saturating_add(1);
                 }
             }
@@ -304,24 +312,24 @@ impl MotionClock<'_> {
         let _room = self.kept.push_back(turn);
     }
 
-    fn is_new(&self, sequence: u32) -> Result<bool, HaltError> {
-        match self.sequence {
-            Some(last) if last == sequence => Ok(false),
-            Some(last) if sequence.wrapping_sub(last).cast_signed() < 0 => Err(HaltError::Stale { sequence, last }),
-            _ => Ok(true),
+    fn refuse_stale(&self, sequence: u32) -> Result<(), HaltError> {
+        match self.followed {
+            Some((last, _)) if sequence.wrapping_sub(last).cast_signed() < 0 => {
+                Err(HaltError::Stale { sequence, last })
+            }
+            _ => Ok(()),
         }
     }
 
     /// Hands a request over; it is expected to turn track time at `expected`.
-    fn ask(&mut self, sequence: u32, request: Request, expected: Option<NetTime>) -> Result<(), HaltError> {
+    fn ask(&mut self, sequence: u32, request: Request, expected: NetTime) -> Result<(), HaltError> {
         self.requests.enqueue(request).map_err(|_| HaltError::Busy)?;
         self.outstanding += 1;
-        self.sequence = Some(sequence);
-        if let Some(epoch) = expected.map(on_grid) {
-            let track = self.newest().at(epoch).time;
-            let Request { warp, is_stop, .. } = request;
-            self.asked = Some(Turn { warp, is_stop, epoch, track, passed: Span::ZERO });
-        }
+        self.followed = Some((sequence, request.is_stop));
+        let epoch = on_grid(expected);
+        let track = self.newest().at(epoch).time;
+        let Request { warp, is_stop, .. } = request;
+        self.asked = Some(Turn { warp, is_stop, epoch, track, passed: Span::ZERO });
         Ok(())
     }
 }
@@ -406,7 +414,7 @@ impl BeatClock<'_> {
         self.next = self.next.map(|next| Turn { epoch: next.epoch.shifted(back), ..next });
         self.last = system;
         if self.told.ready() {
-            let _room = self.told.enqueue(Told::Stepped(self.turn));
+            let _room = self.told.enqueue(Told::Stepped(self.turn, self.next));
         }
     }
 }

@@ -4,7 +4,7 @@
 //!   and learns what the player did.
 //! - **Invariants:** points enter the ring in order, without a gap, and only such that keep the limits and can be stopped from. What
 //!   breaks one latches a [`Fault`]: nothing more enters. The player's own points are computed here again, exactly.
-//! - **Context:** the task `serve`.
+//! - **Context:** the task `serve`. **Clauses:** `[MOT-04]`, `[MOT-05]`, `[MOT-06]`, `[MOT-08]`, `[MOT-10]`.
 
 use crate::axis::{ArmError, AxisConfig, ConfigError, Event, Fault, Order, Point, Start, StarvedCause};
 use crate::history::History;

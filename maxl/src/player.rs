@@ -5,7 +5,7 @@
 //! - **Invariants:** every point is either the feeder's, in order, or the brake's after the last of them; once the brake has
 //!   begun, the series is over. At most [`LEAP_INTERVALS_MAX`] knots a beat; a time that leaps further, or back, is not followed: the axis
 //!   brakes from where it is. Nothing panics.
-//! - **Context:** the highest-priority task; no lock, no division.
+//! - **Context:** the highest-priority task; no lock, no division but where an order or an event is passed. **Clauses:** `[MOT-02]`, `[MOT-07]`.
 
 use crate::axis::{Event, Order, Start, StarvedCause, StarvedPolicy};
 use crate::ring::PointsOut;

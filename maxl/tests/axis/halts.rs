@@ -22,6 +22,7 @@ fn beat(clock: &mut BeatClock<'_>, from: u64, to: u64) -> NetTime {
     last
 }
 
+/// `[MOT-24]`: half a stop's time is used up, and the resume is its mirror.
 #[test]
 fn a_stop_and_its_resume_cost_what_lies_between_their_epochs() {
     let mut rings = ClockRings::new();
@@ -46,6 +47,7 @@ fn a_stop_and_its_resume_cost_what_lies_between_their_epochs() {
     assert_eq!(motion.state(us(14_000)), MotionState::Stopping);
 }
 
+/// `[MOT-21]`, as far as one node's clock goes.
 #[test]
 fn repeated_and_old_halts_do_nothing() {
     let mut rings = ClockRings::new();
@@ -55,13 +57,22 @@ fn repeated_and_old_halts_do_nothing() {
     motion.stop(5, us(1_280), us(640)).unwrap();
     motion.stop(5, us(9_999), us(640)).unwrap();
     assert_eq!(motion.stop(4, us(640), us(640)), Err(HaltError::Stale { sequence: 4, last: 5 }));
+    assert_eq!(
+        motion.resume(5, us(2_000), us(640)),
+        Err(HaltError::Stale { sequence: 5, last: 5 }),
+        "the stop goes before"
+    );
     assert_eq!(motion.resume(6, us(2_000), us(640)), Err(HaltError::Busy), "not before the beat has it");
     beat(&mut clock, 704, 1_920);
     assert_eq!(motion.resume(6, us(2_000), us(1_920)), Err(HaltError::StillStopping { until: us(1_280 + DURATION) }));
     assert_eq!(beat(&mut clock, 1_984, 10_048), us(1_280 + DURATION / 2));
     motion.resume(6, us(0), us(10_048)).unwrap();
+    motion.resume(6, us(0), us(10_048)).unwrap();
     beat(&mut clock, 10_112, 20_032);
     assert_eq!(clock.state(), MotionState::Running);
+    motion.stop(6, us(0), us(20_032)).unwrap();
+    beat(&mut clock, 20_096, 30_016);
+    assert_eq!(clock.state(), MotionState::Stopped, "of one sequence the stop goes before");
 }
 
 /// A stop that comes late begins at once, not in the past; the task learns when.

@@ -29,7 +29,7 @@ fn points_are_played_at_their_times() {
     assert_eq!(told.jerk, 0);
 }
 
-/// Every policy ends at rest, says so, and takes no more points until it is armed again.
+/// `[MOT-07]`: every policy ends at rest, says so, and takes no more points until it is armed again.
 #[test]
 fn without_points_every_policy_comes_to_rest() {
     for (policy, state) in [
@@ -62,7 +62,7 @@ fn without_points_every_policy_comes_to_rest() {
     }
 }
 
-/// What the feeder computes of a stop is what the player did.
+/// `[MOT-10]`: what the feeder computes of a stop is what the player did.
 #[test]
 fn the_feeder_knows_where_the_axis_braked() {
     let mut rings = AxisRings::<QUEUE>::new();

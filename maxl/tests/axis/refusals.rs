@@ -22,6 +22,7 @@ fn before_it_is_armed_nothing_is_taken() {
     assert_eq!(feeder.needed_by(), None);
 }
 
+/// `[MOT-04]`: each with its operands.
 #[test]
 fn late_off_grid_gap_repeated_and_full() {
     let mut rings = AxisRings::<QUEUE>::new();
@@ -78,6 +79,7 @@ fn a_limit_latches_until_it_is_cleared_at_rest() {
     assert_eq!((feeder.counters().limit, feeder.counters().latched, feeder.counters().starved), (1, 1, 1));
 }
 
+/// `[MOT-08]`, `[MOT-09]`.
 #[test]
 fn configurations_that_cannot_be_are_refused() {
     let mut rings = AxisRings::<QUEUE>::new();
@@ -101,7 +103,7 @@ fn configurations_that_cannot_be_are_refused() {
     assert_eq!(feeder.arm(&config(), 5, at(10), at(0)), Err(ArmError::Moving));
 }
 
-/// A missing point between others comes out as (−P₋₂ + 4P₋₁ + 4P₊₁ − P₊₂)/6, and one at the end as 3P₋₁ − 3P₋₂ + P₋₃; both are counted.
+/// `[MOT-05]`: a missing point between others comes out as (−P₋₂ + 4P₋₁ + 4P₊₁ − P₊₂)/6, and one at the end as 3P₋₁ − 3P₋₂ + P₋₃; both are counted.
 #[test]
 fn missing_points_are_rebuilt_in_time() {
     let mut rings = AxisRings::<QUEUE>::new();

@@ -229,7 +229,8 @@ impl Scene<'_> {
         } else {
             self.motion.resume(self.sequence, epoch, self.system)
         };
-        if asked.is_ok() && self.followed != Some(self.sequence) {
+        // a stop that changes nothing changes nothing for the judge either
+        if asked.is_ok() && (is_stop || self.followed != Some(self.sequence)) {
             self.followed = Some(self.sequence);
             self.tally.halts += 1;
             let duration = super::truth::real(self.motion.warp().duration().steps());
