@@ -129,9 +129,12 @@ impl Scene<'_> {
     }
 
     fn task(&mut self) -> Result<(), String> {
+        // what the task takes for now may be some beats old: it was interrupted by them
+        let old = if self.rng.random_bool(0.3) { self.rng.random_range(0..=3 * self.beat.steps()) } else { 0 };
+        let system = self.system.shifted(-old.cast_signed());
         self.motion.run();
-        self.halt();
-        let now = self.motion.track_time(self.system).time;
+        self.halt(system);
+        let now = self.motion.track_time(system).time;
         match self.feeder.state() {
             FeederState::Unarmed | FeederState::Resting { .. } => self.arm(now),
             FeederState::Following => self.send(now)?,
@@ -214,27 +217,27 @@ impl Scene<'_> {
     }
 
     /// Stops and resumes, in order and not, early, late and repeated.
-    fn halt(&mut self) {
+    fn halt(&mut self, now: NetTime) {
         let stands = self.motion.state(self.system) == MotionState::Stopped;
         if !self.rng.random_bool(if stands { 0.3 } else { self.weather.halt }) {
             return;
         }
         let ahead = self.rng.random_range(-20_000_i64..60_000) * 256;
-        let epoch = self.system.shifted(ahead);
+        let epoch = now.shifted(ahead);
         let is_repeated = self.rng.random_bool(0.2);
         self.sequence += u32::from(!is_repeated);
         let is_stop = self.rng.random_bool(if stands { 0.1 } else { 0.8 });
         let asked = if is_stop {
-            self.motion.stop(self.sequence, epoch, self.system)
+            self.motion.stop(self.sequence, epoch, now)
         } else {
-            self.motion.resume(self.sequence, epoch, self.system)
+            self.motion.resume(self.sequence, epoch, now)
         };
         // a stop that changes nothing changes nothing for the judge either
         if asked.is_ok() && (is_stop || self.followed != Some(self.sequence)) {
             self.followed = Some(self.sequence);
             self.tally.halts += 1;
             let duration = super::truth::real(self.motion.warp().duration().steps());
-            self.judge.clock.ask(is_stop, epoch.max(self.system).steps(), duration);
+            self.judge.clock.ask(is_stop, epoch.max(now).steps(), duration);
         }
     }
 
