@@ -1,4 +1,4 @@
-//! Seeded fuzzing: `cargo xtask fuzz --inputs N --seed S --target frame|header|node|time|all`.
+//! Seeded fuzzing: `cargo xtask fuzz --inputs N --seed S --target frame|header|node|time|motion|all`.
 //!
 //! Each input is random bytes, a well-formed packet or frame, or one of these mutated. After each, the target's invariants are
 //! asserted; a finding prints target, seed and input number, which repeat it. Finding nothing is reported with the count of inputs that got
@@ -6,10 +6,12 @@
 #![forbid(unsafe_code)]
 
 mod inputs;
+mod motion;
 mod targets;
 mod time;
 
 use clap::{Parser, ValueEnum};
+use motion::MotionTarget;
 use std::process::ExitCode;
 use std::time::Instant;
 use targets::{FrameTarget, HeaderTarget, NodeTarget, Target};
@@ -22,10 +24,11 @@ enum Which {
     Header,
     Node,
     Time,
+    Motion,
     All,
 }
 
-/// Seeded fuzzing of frame, header, node ingress and the exchange of time.
+/// Seeded fuzzing of frame, header, node ingress, the exchange of time and motion.
 #[derive(Parser)]
 struct Args {
     /// Inputs for each target.
@@ -54,6 +57,9 @@ fn main() -> ExitCode {
     }
     if wants(Which::Time) {
         targets.push(Box::new(TimeTarget::new()));
+    }
+    if wants(Which::Motion) {
+        targets.push(Box::new(MotionTarget::new()));
     }
     let mut findings = 0;
     for mut target in targets {
@@ -148,5 +154,9 @@ mod tests {
         assert!(!run(&mut time, 20_000, 7));
         let (believed, refused) = time.outcomes();
         assert!(believed > 2_000 && refused > 200, "{}", time.reached());
+        let mut motion = MotionTarget::new();
+        assert!(!run(&mut motion, 5_000, 7));
+        let (done, refused, moved) = motion.outcomes();
+        assert!(done > 300 && refused > 300 && moved > 1_000, "{}", motion.reached());
     }
 }
