@@ -1,7 +1,8 @@
 //! Benchmarks, each a subcommand of `cargo xtask bench`: figures with their conditions, not tests.
 //!
 //! `runtime`: µs of CPU a message over 0 to 3 links. `overload`: commands beside telemetry at 120 % of a link, in virtual time. `scan`: a
-//! thousand nodes with loops. `motion-error`: how exact splines are. `clock`: how well clocks agree, in virtual time. `clock-pty`: a host's clock over a
+//! thousand nodes with loops. `motion-error`: how exact splines are. `motion-inject`: any points at any time, and what axes make of them.
+//! `clock`: how well clocks agree, in virtual time. `clock-pty`: a host's clock over a
 //! real pseudo-terminal.
 #![forbid(unsafe_code)]
 
@@ -81,6 +82,21 @@ enum Bench {
         #[arg(long)]
         json: bool,
     },
+    /// Any points at any time: limits, stops and clocks of axes beside a judge of its own. Fails at the first violation.
+    MotionInject {
+        /// Points that are offered in all.
+        #[arg(long, default_value_t = 10_000_000)]
+        points: u64,
+        /// Seed of all cases.
+        #[arg(long, default_value_t = 1)]
+        seed: u64,
+        /// One case alone, as a violation names it.
+        #[arg(long)]
+        case: Option<u64>,
+        /// The figures as JSON.
+        #[arg(long)]
+        json: bool,
+    },
     /// A scan of a random network with loops: virtual time, packets, host time.
     Scan {
         /// Devices.
@@ -102,6 +118,7 @@ fn main() -> ExitCode {
         Some(Bench::Overload { seconds }) => overload::run(seconds),
         Some(Bench::Scan { nodes, loops, seed }) => scan::run(nodes, loops, seed),
         Some(Bench::MotionError { json }) => motion::error(json),
+        Some(Bench::MotionInject { points, seed, case, json }) => return motion::inject(points, seed, case, json),
         Some(Bench::Clock { seeds, json, series }) => clock::run(seeds, &clock::Output::new(json, series)),
         #[cfg(unix)]
         Some(Bench::ClockPty { seconds, skew_ppb, json }) => pty::run(pty::Options { seconds, skew_ppb, json }),

@@ -2,5 +2,7 @@
 
 mod baseline;
 mod evaluators;
+mod injection;
 
 pub(crate) use evaluators::run as error;
+pub(crate) use injection::run as inject;

@@ -42,19 +42,17 @@ pub(crate) fn run(points: u64, seed: u64, case: Option<u64>, json: bool) -> Exit
 }
 
 fn inject(points: u64, seed: u64) -> Result<Tally, Found> {
-    let cases = points.div_ceil(POINTS_A_CASE);
-    let (next, is_over) = (AtomicU64::new(0), AtomicBool::new(false));
+    // a case whose axis cannot be armed any more offers fewer than its share
+    let (next, offered, is_over) = (AtomicU64::new(0), AtomicU64::new(0), AtomicBool::new(false));
     let work = || -> Result<Tally, Found> {
         let mut sum = Tally::default();
-        while !is_over.load(Ordering::Relaxed) {
+        while !is_over.load(Ordering::Relaxed) && offered.load(Ordering::Relaxed) < points {
             let case = next.fetch_add(1, Ordering::Relaxed);
-            if case >= cases {
-                break;
-            }
             let played = play(seed, case, POINTS_A_CASE);
             let tally = played
                 .map_err(|what| Found { seed, case, what })
                 .inspect_err(|_| is_over.store(true, Ordering::Relaxed))?;
+            offered.fetch_add(tally.offered, Ordering::Relaxed);
             sum.add(&tally);
         }
         Ok(sum)
