@@ -100,7 +100,7 @@ mod tests {
         let word = || AtomicU32::new(7);
         let record = Record { mark: word(), levels: word(), edges: [word(), word(), word(), word()] };
         record.clear();
-        [0b0001, 0b0001, 0b1010, 0b0001, 0].map(|levels| record.count(levels));
+        [0b0001, 0b0001, 0b1010, 0b0001, 0].into_iter().for_each(|levels| record.count(levels));
         assert_eq!(record.edges.map(AtomicU32::into_inner), [2, 1, 0, 1]);
         assert_eq!((record.mark.into_inner(), record.levels.into_inner()), (RECORD_MARK, 0));
     }
