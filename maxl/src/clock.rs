@@ -257,7 +257,9 @@ impl MotionClock<'_> {
                 Told::Stepped(turn, next) => {
                     self.kept.clear();
                     self.oldest = turn;
-                    next.into_iter().for_each(|next| self.keep(next));
+                    if let Some(next) = next {
+                        self.keep(next);
+                    }
                     self.steps_back = self.steps_back.saturating_add(1);
                 }
             }
