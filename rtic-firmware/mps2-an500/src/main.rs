@@ -2,7 +2,7 @@
 //!
 //! | task                  | bound to     | priority | period / deadline     | shares                | worst cycles |
 //! |-----------------------|--------------|----------|-----------------------|-----------------------|--------------|
-//! | `interpolate`         | SysTick      | 4        | 64 µs                 | -                     | not modelled |
+//! | `interpolate`         | `SysTick`    | 4        | 64 µs                 | -                     | not modelled |
 //! | `wake`                | TIMER1       | 3        | set by `route`        | -                     | not modelled |
 //! | `link0_rx`–`link4_rx` | `UARTnRX`    | 3        | 6.4 µs: the next byte | receive rings         | not modelled |
 //! | `link0_tx`–`link4_tx` | `UARTnTX`    | 3        | none: the wire idles  | frame buffers         | not modelled |

@@ -305,7 +305,7 @@ fn settled_clock(session: &mut Session, device: &Destination) -> Result<SystemCl
 /// Arms all axes at rest, and has output 0 be high while axis 0 is far up.
 fn set_up(session: &mut Session, to: &Destination) -> Result<(), Failure> {
     let mut requests = Vec::new();
-    for axis in 0..AXES as u8 {
+    for axis in (0..).take(AXES) {
         requests.push(MotionRequest::Configure { axis, settings: settings() });
         requests.push(MotionRequest::Arm { axis, position: MIDDLE });
     }
