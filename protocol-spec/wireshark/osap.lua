@@ -20,8 +20,11 @@ local CONTROLS = { [0] = "data", [1] = "acknowledgement", [2] = "refusal" }
 local SEGMENT_REASONS = { [1] = "busy", [2] = "too long" }
 local SYSTEM_KEYS = {
   [0] = "time request", [1] = "time reply", [2] = "link announcement", [3] = "trace", [4] = "log", [5] = "firmware",
+  [6] = "halt",
 }
 local ANNOUNCEMENT = 2
+local HALT, HALT_BYTES = 6, 26
+local ACTIONS = { [0] = "stop", [1] = "resume" }
 -- Lengths of a time request and of a time reply.
 local TIME_REPLY_BYTES = 72
 local TIME_BYTES = { [0] = 7, [1] = TIME_REPLY_BYTES }
@@ -247,12 +250,30 @@ local function time_message(context, tree, at, width)
   context:payload(tree, at)
 end
 
+-- [MOT-20]: version, action, sequence, epoch, origin.
+local function halt(context, tree, at)
+  local tvb = context.tvb
+  if context:left(at) ~= HALT_BYTES then
+    context:wrong(tree, "system-malformed", "the halt is not " .. HALT_BYTES .. " bytes long")
+    return context:payload(tree, at)
+  end
+  local version, action = tree:add(f.version, tvb(at, 1)), tvb(at + 1, 1):uint()
+  if tvb(at, 1):uint() ~= VERSION then
+    context:wrong(version, "system-malformed", "another version is served")
+  elseif not ACTIONS[action] then
+    context:wrong(tree, "system-malformed", "an action is 0, stop, or 1, resume")
+  end
+  context:payload(tree, at + 1)
+end
+
 local function system(context, tree, instruction, item)
   local at = instruction.at + instruction.width
   if instruction.key == ANNOUNCEMENT then
     announcement(context, tree, at)
   elseif TIME_BYTES[instruction.key] then
     time_message(context, tree, at, TIME_BYTES[instruction.key])
+  elseif instruction.key == HALT then
+    halt(context, tree, at)
   else
     if not SYSTEM_KEYS[instruction.key] then
       context:wrong(item, "unknown-system-key", "system message " .. instruction.key .. " means nothing")

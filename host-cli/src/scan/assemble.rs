@@ -18,20 +18,24 @@ impl Scanner<'_> {
     pub(super) fn assemble(mut self) -> NetworkMap {
         let mut findings = std::mem::take(&mut self.findings);
         findings.extend(self.device_findings());
-        let new = self.renumber();
-        let findings: Vec<Finding> = findings.into_iter().map(|finding| finding.renumbered(&new)).collect();
-        let devices = self.found.iter().map(device).collect();
-        let silent = self.silent_places();
-        let mut map = NetworkMap {
-            schema: SCHEMA.to_owned(),
-            devices,
-            links: self.link_edges(),
-            buses: self.bus_members(),
-            silent,
-            findings,
+        let mut map = loop {
+            let new = self.renumber();
+            findings = findings.into_iter().map(|finding| finding.renumbered(&new)).collect();
+            let mut map = NetworkMap {
+                schema: SCHEMA.to_owned(),
+                devices: self.found.iter().map(device).collect(),
+                links: self.link_edges(),
+                buses: self.bus_members(),
+                silent: self.silent_places(),
+                findings: Vec::new(),
+            };
+            lead(&mut map, &self.buses.iter().map(|bus| (bus.device, bus.gateway.get())).collect::<Vec<_>>());
+            self.add_routes(&mut map);
+            if !self.shorten_ways(&map) {
+                break map;
+            }
         };
-        lead(&mut map, &self.buses.iter().map(|bus| (bus.device, bus.gateway.get())).collect::<Vec<_>>());
-        self.add_routes(&mut map);
+        map.findings.extend(findings);
         size_routes(&mut map);
         map.findings.extend(packet_sizes(&map));
         map.findings.extend(doubles(&map));
@@ -58,6 +62,18 @@ impl Scanner<'_> {
             }
         }
         findings
+    }
+
+    /// Where answers were lost a device may have been found by a longer way than there is: its first way becomes the least of its routes. Whether
+    /// any did. Ways get less each time, so that this comes to an end.
+    fn shorten_ways(&mut self, map: &NetworkMap) -> bool {
+        let mut has_changed = false;
+        for (found, device) in self.found.iter_mut().zip(&map.devices) {
+            let least = device.route().to_buf();
+            has_changed |= found.way.route != least;
+            found.way.route = least;
+        }
+        has_changed
     }
 
     /// Puts devices in order of their first routes; returns the new number of each old one.

@@ -192,7 +192,7 @@ impl MotionTarget {
             Terminal::Port { source: PortIndex::from_low_bits(9), destination: PORT, transport: transport.key() };
         let mut at = emit(&mut packet, 60_000, 256, route.as_route(), terminal).map_err(|_| "no header")?;
         if is_request {
-            self.sequence += 1;
+            self.sequence = self.sequence.wrapping_add(1);
             let header = SequencedHeader { kind: SequencedKind::Request, sequence: Sequence::new(self.sequence) };
             packet[at..at + SequencedHeader::LEN].copy_from_slice(&header.encode());
             at += SequencedHeader::LEN;
