@@ -134,7 +134,9 @@ impl Motor {
         let steps = words::<13>(&self.qemu.read_memory(STEPS_OFFSET, 13 * 4)?);
         let signals = words::<6>(&self.qemu.read_memory(SIGNALS_OFFSET, 6 * 4)?);
         Pins::decode(&steps, &signals).ok_or_else(|| {
-            Failure::NotRun("the image keeps no record of its pins: build it with its default features".into())
+            Failure::Failed(
+                "the image keeps no record of its pins: it is an old one, or does not start its board".into(),
+            )
         })
     }
 }
