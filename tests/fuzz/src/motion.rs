@@ -28,6 +28,8 @@ use rand_pcg::Pcg64;
 const GATEWAY: GatewayIndex = GatewayIndex::from_low_bits(0);
 const PORT: PortIndex = PortIndex::from_low_bits(4);
 const SLOTS: usize = 8;
+/// A new device after so many inputs.
+const ANEW: u64 = 100;
 /// From one beat to the next, µs.
 const BEAT_US: u64 = 64;
 
@@ -43,8 +45,12 @@ pub(crate) struct MotionTarget {
     /// What it was told when it was last armed out of idleness.
     moves_by: Option<AxisSettings>,
     sequence: u16,
-    /// Where points go on.
+    fed: u64,
+    /// What was sent last was refused.
+    was_refused: bool,
+    /// Where points go on, and where those that were taken do.
     next_us: u64,
+    taken_us: u64,
     requests: u64,
     done: u64,
     refused: u64,
@@ -133,7 +139,10 @@ impl MotionTarget {
             settings: None,
             moves_by: None,
             sequence: 0,
+            fed: 0,
+            was_refused: false,
             next_us: 0,
+            taken_us: 0,
             requests: 0,
             done: 0,
             refused: 0,
@@ -202,17 +211,19 @@ impl MotionTarget {
         let taken = self.node.receive(Arrival::Link(GATEWAY), &mut packet[..at + len], self.at, self.at);
         ensure(taken.is_ok(), || format!("{taken:?}"))?;
         self.services.serve(&mut self.node, self.at);
-        let mut answered = None;
+        let (mut answered, mut came_back) = (None, false);
         let mut out = [0; 256];
         while let Some(outgoing) = self.node.transmit(GATEWAY, self.at, &mut out) {
             // pointer 5, TTL, MTU, link, port; then the transport's key and its header
             let kind = out.get(9..12).filter(|_| outgoing.len > 12 && out[6] >> 6 == 3);
+            came_back |= kind.is_some_and(|kind| kind[0] == Transport::Datagram.key());
             if let Some([1, low, high]) = kind {
                 answered = Some(u16::from_le_bytes([*low, *high]) >> 14);
             }
         }
         ensure(!is_request || answered.is_some(), || "a request without an answer".to_owned())?;
         ensure(self.node.free_slots() == SLOTS, || format!("{} slots are left", self.node.free_slots()))?;
+        self.was_refused = answered == Some(2) || came_back;
         self.requests += u64::from(is_request);
         self.done += u64::from(answered == Some(1));
         self.refused += u64::from(answered == Some(2));
@@ -237,7 +248,8 @@ impl MotionTarget {
     /// Points near where they are wanted, most of them small steps.
     fn points(&mut self, draws: &mut Draws<'_>) -> Result<(), String> {
         let interval = 1 << self.settings.map_or(12, |it| it.interval_log2);
-        if draws.byte() < 24 || self.next_us < self.system_now().as_us() {
+        let stands = self.was.first.state != PlayerState::Following;
+        if draws.byte() < 12 || (stands && self.next_us < self.system_now().as_us()) {
             self.next_us = (self.system_now().as_us() + u64::from(draws.byte()) * 1_000).next_multiple_of(interval);
         }
         let count = usize::from(draws.byte() % 8) + 1;
@@ -259,14 +271,20 @@ impl MotionTarget {
         let mut bytes = [0; Points::HEAD_BYTES + 4 * POINTS_MAX];
         let points = Points { axis: draws.byte() % 5 & 4, time, positions: &positions[..count] };
         let len = points.encode(&mut bytes).ok_or("points too long")?;
-        self.next_us += interval * count as u64;
-        self.send(&bytes[..len], draws.byte() % 2 == 0)
+        self.send(&bytes[..len], draws.byte() % 2 == 0)?;
+        if !self.was_refused {
+            self.next_us += interval * count as u64;
+            self.taken_us = self.next_us;
+        } else if draws.byte() < 224 {
+            self.next_us = self.taken_us;
+        }
+        Ok(())
     }
 
     fn halt(&mut self, draws: &mut Draws<'_>) -> Result<(), String> {
         // a device stops by itself often enough
         let action = if draws.byte() < 64 { Action::Stop } else { Action::Resume };
-        let sequence = self.node.halt().map_or(1, |it| it.sequence).saturating_add((draws.byte() % 3).into());
+        let sequence = self.node.halt().map_or(1, |it| it.sequence).saturating_add((draws.byte() % 8).min(1).into());
         let epoch = match draws.byte() {
             0 => NetTime::from_steps(draws.steps()),
             _ => self.system_now() + Span::from_us(u64::from(draws.byte()) * 100),
@@ -326,6 +344,14 @@ impl Target for MotionTarget {
     }
 
     fn feed(&mut self, bytes: &[u8]) -> Result<(), String> {
+        self.fed += 1;
+        if self.fed.is_multiple_of(ANEW) {
+            // a device that was halted or is at fault seldom comes to move again by chance
+            let Self { fed, requests, done, refused, moved, .. } = *self;
+            *self = Self { fed, requests, done, refused, moved, ..Self::new() };
+            self.request(&MotionRequest::Configure { axis: 0, settings: settings(&mut Draws(&[0, 0, 2, 9])) })?;
+            self.request(&MotionRequest::Arm { axis: 0, position: 0 })?;
+        }
         // what is a good packet's header is a poor choice of settings: an input is a seed as well
         let seed = bytes
             .iter()
@@ -335,8 +361,8 @@ impl Target for MotionTarget {
         let mut draws = Draws(&stream);
         match draws.byte() {
             0..16 => self.send(bytes, true)?,
-            16..32 => self.halt(&mut draws)?,
-            32..96 => self.other(&mut draws)?,
+            16..40 => self.halt(&mut draws)?,
+            40..96 => self.other(&mut draws)?,
             _ => self.points(&mut draws)?,
         }
         // now and then long enough for a stop, or for what is sent to run out
