@@ -282,6 +282,7 @@ impl<'a> PointsRef<'a> {
     }
 
     /// The positions, in their order.
+    #[must_use]
     pub fn positions(&self) -> impl ExactSizeIterator<Item = i32> + use<'a> {
         self.positions.iter().map(|bytes| i32::from_le_bytes(*bytes))
     }

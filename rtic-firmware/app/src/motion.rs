@@ -167,7 +167,7 @@ impl MotionService {
             MotionRequest::Describe => Ok(self.describe()),
             MotionRequest::Configure { axis, settings } => self.configure(axis, &settings),
             MotionRequest::Arm { axis, position } => {
-                self.existing(axis)?;
+                existing(axis)?;
                 self.motion.arm(axis, position).map_err(|error| answer::of_arm(error.as_ref()))?;
                 Ok(MotionReply::Done)
             }
@@ -220,15 +220,11 @@ impl MotionService {
     }
 
     const fn describe(&self) -> MotionReply {
-        const fn byte(count: usize) -> u8 {
-            assert!(count <= u8::MAX as usize);
-            count as u8
-        }
         MotionReply::Described {
-            axes: const { byte(AXES) },
+            axes: COUNT_OF_AXES,
             beat_us: self.traits.beat_us,
-            queue: QUEUE as u16,
-            history: HISTORY as u16,
+            queue: CAPACITY,
+            history: const { word(HISTORY) },
             ramps: const { byte(RAMPS) },
             levels: const { byte(LEVELS) },
             outputs: const { byte(OUTPUTS) },
@@ -237,14 +233,9 @@ impl MotionService {
         }
     }
 
-    fn existing(&self, axis: u8) -> Result<(), MotionRefusal> {
-        let count = AXES as u8;
-        if axis < count { Ok(()) } else { Err(MotionRefusal::NoSuch { index: axis, count }) }
-    }
-
     /// `[MOT-09]`
     fn configure(&mut self, axis: u8, settings: &AxisSettings) -> Answered {
-        self.existing(axis)?;
+        existing(axis)?;
         let drive = if self.traits.has_phases && axis == 0 {
             let window = PhaseWindow::new(settings.step_log2.into(), 0);
             Drive::Phases(window.map_err(|_| field(1, settings.step_log2.into(), 18))?)
@@ -257,7 +248,7 @@ impl MotionService {
     }
 
     fn status(&self, axis: u8, now: NetTime) -> Result<AxisStatus, MotionRefusal> {
-        self.existing(axis)?;
+        existing(axis)?;
         let view = self.motion.view(axis).ok_or(MotionRefusal::NotArmed)?;
         let state = if self.motion.is_ready(axis) { AxisState::Armed } else { answer::state_of(view.played) };
         let counters = view.counters;
@@ -289,7 +280,7 @@ impl MotionService {
 
     /// `[MOT-10]`
     fn motion_at(&self, axis: u8, at: NetTime, now: NetTime) -> Answered {
-        self.existing(axis)?;
+        existing(axis)?;
         let (earliest, latest) = self.motion.history_of(axis, now).unwrap_or_default();
         let range = MotionRefusal::NotInHistory { earliest_steps: earliest.steps(), latest_steps: latest.steps() };
         let was = self.motion.motion_at(axis, at).ok_or(range)?;
@@ -409,10 +400,33 @@ impl MotionService {
             };
             if node.send(port, to, &[&payload[..len]], now).is_err() {
                 // counted by the node too, which does not know how many there were
-                self.unsent = self.unsent.saturating_add(((len - 2) / ReadingMessage::LEN) as u32);
+                let unsent = u32::try_from((len - 2) / ReadingMessage::LEN).unwrap_or(u32::MAX);
+                self.unsent = self.unsent.saturating_add(unsent);
             }
         }
     }
+}
+
+/// Axes of every device.
+const COUNT_OF_AXES: u8 = byte(AXES);
+/// Points that an axis holds.
+const CAPACITY: u16 = word(QUEUE);
+
+#[expect(clippy::cast_possible_truncation, reason = "asserted to fit when this is compiled")]
+const fn byte(count: usize) -> u8 {
+    assert!(count <= u8::MAX as usize);
+    count as u8
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "asserted to fit when this is compiled")]
+const fn word(count: usize) -> u16 {
+    assert!(count <= u16::MAX as usize);
+    count as u16
+}
+
+const fn existing(axis: u8) -> Result<(), MotionRefusal> {
+    let count = COUNT_OF_AXES;
+    if axis < count { Ok(()) } else { Err(MotionRefusal::NoSuch { index: axis, count }) }
 }
 
 /// What a request comes to.

@@ -6,7 +6,7 @@ use fixed_math::time::{NetTime, Span};
 use osap::error::AskError;
 use osap::map::Device;
 use osap::scan::ScanOptions;
-use osap::session::Session;
+use osap::session::{OpenOptions, Session};
 use osap_protocol::PortIndex;
 use osap_protocol::motion::{
     AxisSettings, AxisState, AxisStatus, CurveSettings, HaltReason, LimitKind, MotionRefusal, MotionReply,
@@ -40,7 +40,8 @@ const SETTINGS: AxisSettings = AxisSettings {
 
 /// The printer, scanned and with one time, and the ways to the motion ports of its motors.
 fn machine() -> (Session, Vec<Destination>) {
-    let mut session = Session::open(&["sim:printer".parse().expect("a machine")], &Default::default()).expect("open");
+    let mut session =
+        Session::open(&["sim:printer".parse().expect("a machine")], &OpenOptions::default()).expect("open");
     let map = session.scan(&ScanOptions::default(), &mut |_| {}).expect("scanned").map;
     session.learn(&map);
     session.network().pause(Span::from_us(3_000_000)).expect("runs");

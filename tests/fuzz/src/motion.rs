@@ -269,9 +269,9 @@ impl MotionTarget {
         };
         let time = NetTime::from_us(self.next_us) + Span::from_steps(late);
         let mut bytes = [0; Points::HEAD_BYTES + 4 * POINTS_MAX];
-        let points = Points { axis: draws.byte() % 5 & 4, time, positions: &positions[..count] };
+        let points = Points { axis: (draws.byte() % 5) & 4, time, positions: &positions[..count] };
         let len = points.encode(&mut bytes).ok_or("points too long")?;
-        self.send(&bytes[..len], draws.byte() % 2 == 0)?;
+        self.send(&bytes[..len], draws.byte().is_multiple_of(2))?;
         if !self.was_refused {
             self.next_us += interval * count as u64;
             self.taken_us = self.next_us;
@@ -301,26 +301,26 @@ impl MotionTarget {
     }
 
     fn other(&mut self, draws: &mut Draws<'_>) -> Result<(), String> {
-        let axis = draws.byte() % 5 & 4;
+        let axis = (draws.byte() % 5) & 4;
         let request = match draws.byte() % 20 {
             0 => MotionRequest::Describe,
             1..=3 => MotionRequest::Configure { axis, settings: settings(draws) },
             4 => MotionRequest::Arm { axis, position: draws.number() >> 12 },
             12..=15 => MotionRequest::Arm { axis, position: self.was.first.position },
-            16..=18 => MotionRequest::ClearFault { axis },
             5 => MotionRequest::Status { axis },
             6 => {
                 let back = Span::from_us(u64::from(draws.byte()) * 3_000);
                 let at = NetTime::from_steps(self.system_now().steps().saturating_sub(back.steps()));
                 MotionRequest::MotionAt { axis, time_steps: at.steps() }
             }
-            7 => MotionRequest::ClearFault { axis },
+            7 | 16..=18 => MotionRequest::ClearFault { axis },
             8 => MotionRequest::Halt { resume: draws.byte() > 64, lead_us: draws.byte().into() },
             9 => MotionRequest::Ramp {
                 track: draws.byte() % 3,
-                start_steps: (draws.byte() % 2 == 0).then(|| self.system_now().steps() + draws.steps() % (1 << 30)),
+                start_steps: (draws.byte().is_multiple_of(2))
+                    .then(|| self.system_now().steps() + draws.steps() % (1 << 30)),
                 end_steps: self.system_now().steps() + draws.steps() % (1 << 31),
-                from: (draws.byte() % 2 == 0).then(|| draws.number()),
+                from: (draws.byte().is_multiple_of(2)).then(|| draws.number()),
                 to: draws.number(),
             },
             10 => {

@@ -8,7 +8,7 @@ use fixed_math::ramp::RampError;
 use fixed_math::spline::IntervalLog2;
 use fixed_math::time::NetTime;
 use osap_maxl::axis::{ArmError, ConfigError, Fault as Broken};
-use osap_maxl::device::{OfferError, QUEUE, SettingError};
+use osap_maxl::device::{OfferError, SettingError};
 use osap_maxl::feeder::Refusal;
 use osap_maxl::player::PlayerState;
 use osap_maxl::tracks::TrackRefusal;
@@ -125,7 +125,7 @@ pub(super) fn of_offer(error: &OfferError, time: NetTime, taken: u8, interval: I
     let refusal = match error {
         OfferError::Setting(error) => return of_setting(error),
         OfferError::Arm(ArmError::OffGrid { .. }) => {
-            let interval_log2 = interval.log2() as u8;
+            let interval_log2 = log2_of(interval);
             return MotionRefusal::OffGrid { point_steps: time.steps(), interval_log2 };
         }
         OfferError::Arm(ArmError::Late { needed_by, now }) => return late(time, *needed_by, *now),
@@ -135,7 +135,7 @@ pub(super) fn of_offer(error: &OfferError, time: NetTime, taken: u8, interval: I
     match *refusal {
         Refusal::NotArmed | Refusal::Starved { .. } => MotionRefusal::NotArmed,
         Refusal::OffGrid { time, .. } => {
-            MotionRefusal::OffGrid { point_steps: time.steps(), interval_log2: interval.log2() as u8 }
+            MotionRefusal::OffGrid { point_steps: time.steps(), interval_log2: log2_of(interval) }
         }
         Refusal::Late { needed_by, now } => late(time, needed_by, now),
         Refusal::NonMonotonic { time, newest } => {
@@ -145,10 +145,15 @@ pub(super) fn of_offer(error: &OfferError, time: NetTime, taken: u8, interval: I
             missing: u32::try_from(missing).unwrap_or(u32::MAX),
             missing_max: u8::try_from(most).unwrap_or(u8::MAX),
         },
-        Refusal::Full { .. } => MotionRefusal::Full { taken, capacity: QUEUE as u16 },
+        Refusal::Full { .. } => MotionRefusal::Full { taken, capacity: super::CAPACITY },
         Refusal::Latched(fault) => MotionRefusal::Latched(fault_of(&fault)),
         Refusal::Limit(fault) => MotionRefusal::Limit(fault_of(&fault)),
     }
+}
+
+/// 8 to 14.
+fn log2_of(interval: IntervalLog2) -> u8 {
+    u8::try_from(interval.log2()).unwrap_or(u8::MAX)
 }
 
 /// The point's time, and that of the earliest that would not be late.
