@@ -12,11 +12,11 @@ use core::sync::atomic::{AtomicBool, Ordering};
 use firmware_app::kind::{self, Kind};
 use firmware_app::routing::{self, Links};
 use firmware_app::settings::Changes;
-use firmware_app::{Device, Link};
+use firmware_app::Link;
 use fixed_math::time::LocalTicks;
 use osap_protocol::discovery::{BuildKind, GatewayKind, Name, UniqueId};
 use osap_protocol::framing::Check;
-use osap_runtime::{GatewayConfig, Node};
+use osap_runtime::{GatewayConfig, Identity, Node};
 
 /// Wakes routing.
 pub const ROUTE: Interrupt = Interrupt::SW0_IRQ;
@@ -182,11 +182,11 @@ pub fn changes(node: &mut PicoNode) -> Changes {
 pub struct SharedNode<M>(pub M);
 
 #[cfg(feature = "services")]
-impl<M: rtic::Mutex<T = PicoNode>> firmware_app::lock::NodeLock for SharedNode<M> {
+impl<M: rtic::Mutex<T = &'static mut PicoNode>> firmware_app::lock::NodeLock for SharedNode<M> {
     type Node = PicoNode;
 
     fn lock<R>(&mut self, work: impl FnOnce(&mut PicoNode) -> R) -> R {
-        self.0.lock(work)
+        self.0.lock(|node| work(node))
     }
 
     fn wake_routing(&mut self) {
@@ -196,50 +196,60 @@ impl<M: rtic::Mutex<T = PicoNode>> firmware_app::lock::NodeLock for SharedNode<M
 
 /// What `init` makes.
 pub struct Parts {
-    /// Shared by all below interrupts.
-    pub node: PicoNode,
+    /// Shared by all below interrupts, in its place.
+    pub node: &'static mut PicoNode,
     /// Of routing and USB.
     pub links: PicoLinks,
     /// Routing's own.
     pub routing: Routing,
-    /// Serving's own.
-    pub services: PicoServices,
+    /// Serving's own, in its place.
+    pub services: &'static mut PicoServices,
     /// Idle's own.
     pub keeper: Keeper,
     /// Interpolation's own.
     pub beats: PicoBeats,
 }
 
+/// Where what is large is for good: handed from one stack frame to the next, as RTIC does with its resources, it would not fit the stack.
+pub struct Places {
+    rings: MotionRings,
+    node: Option<PicoNode>,
+    services: Option<PicoServices>,
+}
+
+impl Places {
+    /// With nothing in them.
+    pub const fn new() -> Self {
+        Self { rings: MotionRings::new(), node: None, services: None }
+    }
+}
+
 /// Starts the board and makes the device.
-pub fn start(peripherals: Peripherals, rings: &'static mut MotionRings) -> Parts {
+pub fn start(peripherals: Peripherals, places: &'static mut Places) -> Parts {
     let board = Board::init(peripherals, cfg!(feature = "usb"));
     let (keeper, name, boots) = settings();
     let kind = &KINDS[usize::from(board.straps) % KINDS.len()];
     let id = UniqueId(board.unique_id);
-    let device = Device::<_, _, _, _, MESSAGE_BYTES>::new(kind, id, boots, BuildKind::Firmware, &name)
-        .expect("as many ports as the kinds have");
-    let (mut node, services) = device.into_parts();
+    let Places { rings, node, services } = places;
+    let node = place_node(node, kind, id, boots, &name);
+    #[cfg(feature = "services")]
+    let services = services.insert(PicoServices::new(kind));
+    #[cfg(not(feature = "services"))]
+    let services = services.insert(());
     #[cfg(feature = "motion")]
-    let (services, interpolator) = {
-        let (motion, interpolator) = rings.split(crate::interpolation::BEAT);
-        let mut services = services;
-        services.set_motion(firmware_app::motion::MotionService::new(motion, crate::interpolation::MOTION));
-        (services, interpolator)
-    };
+    let interpolator = set_motion(services, rings);
     #[cfg(not(feature = "motion"))]
     let _nothing_in_it = rings;
-    #[cfg(not(feature = "services"))]
-    let services = drop(services);
     #[cfg(feature = "report")]
     if let Some(report) = &board.report {
-        crate::handlers::tell(&mut node, report);
+        crate::handlers::tell(node, report);
     }
-    let uarts = board.uarts.map(|uart| Link::new(uart, UART, &mut node).expect("a place for each UART"));
+    let uarts = board.uarts.map(|uart| Link::new(uart, UART, node).expect("a place for each UART"));
     #[cfg(feature = "usb")]
     let usb = {
         let (check, stamps) = (Check::None, osap_runtime::Stamps::SOFTWARE);
         let config = GatewayConfig { type_name: "usb-cdc", bit_rate: 0, bits_a_byte: 8, check, stamps, ..UART };
-        Link::new(board.usb.expect("asked for"), config, &mut node).expect("a place for USB")
+        Link::new(board.usb.expect("asked for"), config, node).expect("a place for USB")
     };
     let links = PicoLinks {
         uarts,
@@ -247,7 +257,7 @@ pub fn start(peripherals: Peripherals, rings: &'static mut MotionRings) -> Parts
         usb,
     };
     #[cfg(feature = "settings")]
-    keeper.restore(&mut node);
+    keeper.restore(node);
     #[cfg(feature = "motion")]
     let beats = {
         let Board { pace, steps, phases, enable, signals, .. } = board;
@@ -275,6 +285,32 @@ fn settings() -> (Keeper, Name, u32) {
     use board_rp2040_pico::flash::{SETTINGS_BYTES, SettingsFlash};
     // SAFETY: called once; code, constants and vectors are in RAM, and the DMA reads no flash
     let flash = unsafe { SettingsFlash::new() };
+/// A node of a kind with its ports and no gateways yet, made in a frame that is gone before the others are.
+#[inline(never)]
+fn place_node<'n>(
+    place: &'n mut Option<PicoNode>,
+    kind: &'static Kind,
+    unique_id: UniqueId,
+    boot_epoch: u32,
+    name: &Name,
+) -> &'n mut PicoNode {
+    let (type_name, version, build) = (kind.type_name, kind.version, BuildKind::Firmware);
+    let node = place.insert(Node::new(Identity { type_name, unique_id, boot_epoch, version, build }, name));
+    for port in kind.ports {
+        node.add_port(port.config()).expect("as many ports as the kinds have");
+    }
+    node
+}
+
+/// Gives the services their half of motion; the other half. In a frame of its own too.
+#[cfg(feature = "motion")]
+#[inline(never)]
+fn set_motion(services: &mut PicoServices, rings: &'static mut MotionRings) -> osap_maxl::device::Interpolator<'static> {
+    let (motion, interpolator) = rings.split(crate::interpolation::BEAT);
+    services.set_motion(firmware_app::motion::MotionService::new(motion, crate::interpolation::MOTION));
+    interpolator
+}
+
     let settings = firmware_app::settings::Settings::load(flash, 0..SETTINGS_BYTES).ok();
     let name = settings.as_ref().and_then(|settings| Name::try_from(settings.name()).ok()).unwrap_or_default();
     let boots = settings.as_ref().map_or(1, firmware_app::settings::Settings::boots);

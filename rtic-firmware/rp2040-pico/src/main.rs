@@ -47,7 +47,7 @@ mod app {
     #[cfg(feature = "services")]
     use crate::device::SharedNode;
     use crate::device::{
-        Keeper, MotionRings, PicoBeats, PicoLinks, PicoNode, PicoServices, ROUTE, Routing, SERVE, wake_routing,
+        Keeper, PicoBeats, PicoLinks, PicoNode, PicoServices, Places, ROUTE, Routing, SERVE, wake_routing,
     };
     use board_rp2040_pico::clock::Alarm;
     use board_rp2040_pico::uart;
@@ -55,7 +55,7 @@ mod app {
 
     #[shared]
     struct Shared {
-        node: PicoNode,
+        node: &'static mut PicoNode,
         /// Of tasks of one priority, so without a lock, which masks interrupts one by one.
         #[lock_free]
         links: PicoLinks,
@@ -66,15 +66,15 @@ mod app {
     #[local]
     struct Local {
         routing: Routing,
-        services: PicoServices,
+        services: &'static mut PicoServices,
         keeper: Keeper,
         beats: PicoBeats,
     }
 
-    #[init(local = [rings: MotionRings = MotionRings::new()])]
+    #[init(local = [places: Places = Places::new()])]
     fn init(cx: init::Context) -> (Shared, Local) {
         let crate::device::Parts { node, links, routing, services, keeper, beats } =
-            crate::device::start(cx.device, cx.local.rings);
+            crate::device::start(cx.device, cx.local.places);
         wake_routing();
         let local = Local { routing, services, keeper, beats };
         (Shared { node, links, due: None }, local)
@@ -83,7 +83,7 @@ mod app {
     #[idle(local = [keeper], shared = [node])]
     fn idle(mut cx: idle::Context) -> ! {
         loop {
-            let changes = cx.shared.node.lock(crate::device::changes);
+            let changes = cx.shared.node.lock(|node| crate::device::changes(node));
             cx.local.keeper.keep(&changes);
             cortex_m::asm::wfi();
         }
