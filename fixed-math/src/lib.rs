@@ -9,6 +9,8 @@
 
 pub mod brake;
 pub mod clock;
+#[cfg(any(feature = "kernels", test))]
+pub mod kernels;
 pub mod lag;
 pub mod level;
 pub mod limits;

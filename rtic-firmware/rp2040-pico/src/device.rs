@@ -227,6 +227,12 @@ impl Places {
 /// Starts the board and makes the device.
 pub fn start(peripherals: Peripherals, places: &'static mut Places) -> Parts {
     let board = Board::init(peripherals, cfg!(feature = "usb"));
+    #[cfg(feature = "evaluate")]
+    let board = {
+        let mut board = board;
+        crate::evaluations::run(&mut board.signals);
+        board
+    };
     let (keeper, name, boots) = settings();
     let kind = &KINDS[usize::from(board.straps) % KINDS.len()];
     let id = UniqueId(board.unique_id);
@@ -279,12 +285,6 @@ pub fn start(peripherals: Peripherals, places: &'static mut Places) -> Parts {
     Parts { node, links, routing, services, keeper, beats }
 }
 
-/// The settings' keeper, the name in them and which start this is.
-#[cfg(feature = "settings")]
-fn settings() -> (Keeper, Name, u32) {
-    use board_rp2040_pico::flash::{SETTINGS_BYTES, SettingsFlash};
-    // SAFETY: called once; code, constants and vectors are in RAM, and the DMA reads no flash
-    let flash = unsafe { SettingsFlash::new() };
 /// A node of a kind with its ports and no gateways yet, made in a frame that is gone before the others are.
 #[inline(never)]
 fn place_node<'n>(
@@ -311,6 +311,12 @@ fn set_motion(services: &mut PicoServices, rings: &'static mut MotionRings) -> o
     interpolator
 }
 
+/// The settings' keeper, the name in them and which start this is.
+#[cfg(feature = "settings")]
+fn settings() -> (Keeper, Name, u32) {
+    use board_rp2040_pico::flash::{SETTINGS_BYTES, SettingsFlash};
+    // SAFETY: called once; code, constants and vectors are in RAM, and the DMA reads no flash
+    let flash = unsafe { SettingsFlash::new() };
     let settings = firmware_app::settings::Settings::load(flash, 0..SETTINGS_BYTES).ok();
     let name = settings.as_ref().and_then(|settings| Name::try_from(settings.name()).ok()).unwrap_or_default();
     let boots = settings.as_ref().map_or(1, firmware_app::settings::Settings::boots);

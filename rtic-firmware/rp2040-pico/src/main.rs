@@ -30,6 +30,8 @@
 mod bare;
 #[cfg(feature = "node")]
 mod device;
+#[cfg(feature = "evaluate")]
+mod evaluations;
 #[cfg(feature = "report")]
 mod handlers;
 #[cfg(feature = "motion")]
