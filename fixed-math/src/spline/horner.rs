@@ -12,7 +12,7 @@
 //! ([`GUARD_BITS`]). c₁ = 8(δ₁+δ₂) and c₂ = 8δ² are integers as they stand; c₃ = 8δ³/3 is rounded to the nearest, off by ε ∈ {−⅓, 0, ⅓}.
 //! A product with the part u is rounded down, off by f ∈ (−1, 0]. With m = c₃u + f₁, b₂ = c₂ + m, b₁ = c₁ + b₂u + f₂ and p = b₁u + f₃
 //! the sum is off by εu³ + f₁u² + f₂u + f₃ ∈ (−3⅓, ⅓). The last shift by four bits takes 0 to 15 guard units away and r takes −2⅔ to 10⅔.
-//! With the constant 13 ([`CENTRE`]), in all: (13 − 3⅓ − 15 − 10⅔, 13 + ⅓ − 0 + 2⅔) = (−16, 16) guard units, one unit, ends excluded.
+//! With the constant 13 (`CENTRE`), in all: (13 − 3⅓ − 15 − 10⅔, 13 + ⅓ − 0 + 2⅔) = (−16, 16) guard units, one unit, ends excluded.
 //! On a line δ² = δ³ = r = 0 and only f₃ is left: (−3/16, 13/16]. Where nothing moves that is 0 too, and the constant is shifted out.
 //!
 //! Velocity is v = b₁ + (b₂ + m)u: off by 3εu² + 3f₁u + f₂ + f₄ ∈ (−6, 1) guard units. On a line all of these are 0 and it is exact.

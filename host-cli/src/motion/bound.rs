@@ -1,6 +1,6 @@
 //! The most that a spline of samples can be off a path: ε ≤ h²A/6 + (13/48)·h·|Δv|, with A and Δv read off the path.
 //!
-//! - **Walk:** [`Path::bends`] → [`Bound::of`], for each axis and for the length of the vector.
+//! - **Walk:** [`Path::bends`](super::path::Path::bends) → [`Bound::of`], for each axis and for the length of the vector.
 //! - **Invariants:** it holds for every phase of the points against the path, before rounding to LSB; [`ROUNDING_LSB`] is what that adds.
 //!
 //! # Why it holds for a polyline

@@ -33,7 +33,7 @@ pub enum Fit {
 /// The pole of the cubic spline's inverse filter, √3 − 2.
 const POLE: f64 = -0.267_949_192_431_122_7;
 
-/// Samples at either end that a caller adds to those that matter: what is beyond them weighs less than [`POLE`]^32 = 5e-19.
+/// Samples at either end that a caller adds to those that matter: what is beyond them weighs less than the pole^32 = 5e-19.
 pub const MARGIN: usize = 32;
 
 impl Fit {

@@ -117,7 +117,7 @@ pub enum MotionRefusal {
 }
 
 impl MotionRefusal {
-    /// Its bytes in `out`; `None` where that is shorter than [`REPLY_BYTES_MAX`] and it does not fit.
+    /// Its bytes in `out`; `None` where that is shorter than [`REPLY_BYTES_MAX`](super::REPLY_BYTES_MAX) and it does not fit.
     pub fn encode<'o>(&self, out: &'o mut [u8]) -> Option<&'o [u8]> {
         postcard::to_slice(self, out).ok().map(|bytes| &*bytes)
     }
