@@ -503,7 +503,8 @@ mod tests {
             assert!(
                 f64::from(most(&differences(&second))) < f64::from(jerk.at_rest) - 3.27 * a / 12.0 - 4.0 * v / 144.0
             );
-            let turn = usize::from(3 + UP + REST);
+            // differences: two before the first point, then one a point
+            let turn = usize::from(2 + UP + REST);
             assert!(first[..turn].iter().all(|it| *it >= 0) && first[turn..].iter().all(|it| *it <= 0));
             assert_eq!(track.point(i64::MAX).rem_euclid(1 << STEP_LOG2), MIDDLE);
         }
