@@ -97,6 +97,9 @@ enum Bench {
         #[arg(long)]
         json: bool,
     },
+    /// What `motion-error`, `motion-inject`, the emulated images and the model of processors found, as one table.
+    #[command(hide = true)]
+    MotionReport(motion::ReportOptions),
     /// A scan of a random network with loops: virtual time, packets, host time.
     Scan {
         /// Devices.
@@ -118,6 +121,7 @@ fn main() -> ExitCode {
         Some(Bench::Overload { seconds }) => overload::run(seconds),
         Some(Bench::Scan { nodes, loops, seed }) => scan::run(nodes, loops, seed),
         Some(Bench::MotionError { json }) => motion::error(json),
+        Some(Bench::MotionReport(options)) => return motion::report(&options),
         Some(Bench::MotionInject { points, seed, case, json }) => return motion::inject(points, seed, case, json),
         Some(Bench::Clock { seeds, json, series }) => clock::run(seeds, &clock::Output::new(json, series)),
         #[cfg(unix)]

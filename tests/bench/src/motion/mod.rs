@@ -3,6 +3,8 @@
 mod baseline;
 mod evaluators;
 mod injection;
+mod report;
 
 pub(crate) use evaluators::run as error;
 pub(crate) use injection::run as inject;
+pub(crate) use report::{Options as ReportOptions, run as report};
