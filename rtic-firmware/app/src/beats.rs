@@ -54,7 +54,10 @@ pub trait Follower {
 }
 
 /// No servo.
-impl Follower for () {
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct NoServo;
+
+impl Follower for NoServo {
     fn follow(&mut self, out: &BeatOutput, _: &Interpolator<'_>) -> [i16; 2] {
         out.coils.unwrap_or_default()
     }
@@ -92,7 +95,9 @@ struct Edges<M> {
     /// Of them, steps.
     steps: u32,
     is_enabled: bool,
+    /// Levels of the outputs, and whether they are to change.
     outputs: u8,
+    has_turned: bool,
 }
 
 impl<M: Motors> Edges<M> {
@@ -101,13 +106,16 @@ impl<M: Motors> Edges<M> {
     const ALL: u32 = Self::STEPS[(1 << AXES) - 1] | Self::DIRECTIONS[(1 << AXES) - 1];
 
     const fn new(motors: M) -> Self {
-        Self { motors, set: 0, steps: 0, is_enabled: false, outputs: 0 }
+        Self { motors, set: 0, steps: 0, is_enabled: false, outputs: 0, has_turned: false }
     }
 
     /// What was calculated last: the first thing of a beat.
     #[inline]
     fn put_out(&mut self) {
         self.motors.write(self.set, Self::ALL);
+        if self.has_turned {
+            self.motors.outputs(self.outputs);
+        }
     }
 
     /// Ends the pulses, and keeps what is to come; the last thing of a beat.
@@ -117,10 +125,8 @@ impl<M: Motors> Edges<M> {
             self.is_enabled = out.is_enabled;
             self.motors.enable(out.is_enabled);
         }
-        if out.outputs != self.outputs {
-            self.outputs = out.outputs;
-            self.motors.outputs(out.outputs);
-        }
+        self.has_turned = out.outputs != self.outputs;
+        self.outputs = out.outputs;
         if self.steps != 0 {
             self.motors.write(0, self.steps);
         }

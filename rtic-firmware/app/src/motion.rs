@@ -146,7 +146,11 @@ impl MotionService {
         for (index, position) in (0..).zip(points.positions()) {
             let time = points.time + Span::from_steps(index * u64::from(interval.steps()));
             let offered = self.motion.offer(axis, Point { time, position }, system.at);
-            offered.map_err(|error| answer::of_offer(&error, time, taken, interval))?;
+            offered.map_err(|error| {
+                // what it latched is to halt all motion, and that at once
+                self.next = now;
+                answer::of_offer(&error, time, taken, interval)
+            })?;
             taken += 1;
         }
         node.set_live(self.motion.is_live());

@@ -9,6 +9,7 @@ use board_mps2_an386::motors::Motors;
 use board_mps2_an386::outputs::{Enable, StepPins};
 use board_mps2_an386::pace::{CYCLES_A_US, Pace};
 use board_mps2_an386::signals::SignalPins;
+use firmware_app::beats::NoServo;
 use firmware_app::kind::Service;
 use firmware_app::motion::{MotionService, MotionTraits};
 use osap_maxl::device::{BeatTraits, DeviceRings};
@@ -26,7 +27,7 @@ const BEAT: BeatTraits = BeatTraits { period_log2: PERIOD_LOG2, nominal_cycles: 
 /// What both halves of motion share.
 pub(crate) type Rings = DeviceRings;
 /// All that the highest task has.
-pub(crate) type Beats = firmware_app::beats::Beats<Pace, Motors, ()>;
+pub(crate) type Beats = firmware_app::beats::Beats<Pace, Motors, NoServo>;
 
 /// The board's parts for it.
 pub(crate) struct Parts {
@@ -48,5 +49,5 @@ pub(crate) fn start(rings: &'static mut Rings, services: &mut Services, parts: P
         services.set_motion(MotionService::new(motion, MOTION));
         pace.start(PERIOD_US.into());
     }
-    Beats::new(interpolator, pace, Motors { steps, enable, signals }, ())
+    Beats::new(interpolator, pace, Motors { steps, enable, signals }, NoServo)
 }

@@ -9,10 +9,10 @@ use board_rp2040_pico::pac::{Interrupt, Peripherals};
 use board_rp2040_pico::uart::{self, DmaUart};
 use board_rp2040_pico::{Board, UART_BAUD};
 use core::sync::atomic::{AtomicBool, Ordering};
+use firmware_app::Link;
 use firmware_app::kind::{self, Kind};
 use firmware_app::routing::{self, Links};
 use firmware_app::settings::Changes;
-use firmware_app::Link;
 use fixed_math::time::LocalTicks;
 use osap_protocol::discovery::{BuildKind, GatewayKind, Name, UniqueId};
 use osap_protocol::framing::Check;
@@ -305,7 +305,10 @@ fn place_node<'n>(
 /// Gives the services their half of motion; the other half. In a frame of its own too.
 #[cfg(feature = "motion")]
 #[inline(never)]
-fn set_motion(services: &mut PicoServices, rings: &'static mut MotionRings) -> osap_maxl::device::Interpolator<'static> {
+fn set_motion(
+    services: &mut PicoServices,
+    rings: &'static mut MotionRings,
+) -> osap_maxl::device::Interpolator<'static> {
     let (motion, interpolator) = rings.split(crate::interpolation::BEAT);
     services.set_motion(firmware_app::motion::MotionService::new(motion, crate::interpolation::MOTION));
     interpolator

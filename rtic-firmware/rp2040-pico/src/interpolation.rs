@@ -37,7 +37,7 @@ pub const BEAT: BeatTraits =
 pub type PicoFollower = firmware_app::servo::SimulatedMotor;
 /// Nothing does.
 #[cfg(not(any(feature = "servo", feature = "fast")))]
-pub type PicoFollower = ();
+pub type PicoFollower = firmware_app::beats::NoServo;
 
 /// All that the interrupt has.
 #[cfg(not(feature = "fast"))]

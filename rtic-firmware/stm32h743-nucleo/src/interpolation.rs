@@ -8,6 +8,7 @@ use board_stm32h743_nucleo::motors::Motors;
 use board_stm32h743_nucleo::outputs::{Enable, StepPins};
 use board_stm32h743_nucleo::pace::{CYCLES_A_US, Pace};
 use board_stm32h743_nucleo::signals::SignalPins;
+use firmware_app::beats::NoServo;
 use firmware_app::motion::{MotionService, MotionTraits};
 use osap_maxl::device::{BeatTraits, DeviceRings};
 
@@ -24,7 +25,7 @@ const BEAT: BeatTraits = BeatTraits { period_log2: PERIOD_LOG2, nominal_cycles: 
 /// What both halves of motion share.
 pub(crate) type Rings = DeviceRings;
 /// All that the highest task has.
-pub(crate) type Beats = firmware_app::beats::Beats<Pace, Motors, ()>;
+pub(crate) type Beats = firmware_app::beats::Beats<Pace, Motors, NoServo>;
 
 /// The board's parts for it.
 pub(crate) struct Parts {
@@ -44,5 +45,5 @@ pub(crate) fn start(rings: &'static mut Rings, services: &mut NucleoServices, pa
     let (motion, interpolator) = rings.split(BEAT);
     services.set_motion(MotionService::new(motion, MOTION));
     pace.start(PERIOD_US.into());
-    Beats::new(interpolator, pace, Motors { steps, enable, signals }, ())
+    Beats::new(interpolator, pace, Motors { steps, enable, signals }, NoServo)
 }
