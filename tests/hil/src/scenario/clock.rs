@@ -97,7 +97,7 @@ pub(super) fn run(context: &Context, ms: u64) -> Result<Report, Failure> {
     Ok(report)
 }
 
-fn start(context: &Context, load: Load) -> Result<Bench, Failure> {
+fn start(context: &Context) -> Result<Bench, Failure> {
     let image = Image::Rp2040Pico;
     let elf = context.places.image(image)?;
     Bench::build(&context.places, context.seed, &[HostPort::uart("host")], false, |cosim, _| wire_up(cosim, &elf))
@@ -117,7 +117,7 @@ fn wire_up(cosim: &mut Cosim, elf: &Path) -> Result<(), Failure> {
 
 /// Asks all chips in turn for `ms` after the last was started.
 fn measure(context: &Context, load: Load, ms: u64) -> Result<[Vec<Sample>; 3], Failure> {
-    let mut bench = start(context, load)?;
+    let mut bench = start(context)?;
     for (name, _, ppm, ramp) in CHIPS {
         bench.cosim.borrow_mut().crystal(name, ppm, ramp)?;
     }
