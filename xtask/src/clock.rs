@@ -55,7 +55,8 @@ pub(crate) fn clock(is_quick: bool, html: Option<PathBuf>, json: Option<PathBuf>
     report.run()
 }
 
-fn not_run(what: &str, error: &Error) -> String {
+/// What did not run, and why, in a line.
+pub(crate) fn not_run(what: &str, error: &Error) -> String {
     match error {
         Error::NotRunHere { what: part, why } => format!("{what}: {part}: {why}"),
         error => format!("{what}: {error}"),
@@ -98,7 +99,7 @@ fn host_document(text: &str) -> (Option<String>, String) {
 }
 
 /// Why a scenario's document has no figures.
-fn why_empty(document: &str) -> Option<String> {
+pub(crate) fn why_empty(document: &str) -> Option<String> {
     let document: Value = match serde_json::from_str(document) {
         Ok(document) => document,
         Err(error) => return Some(format!("the harness gave no document: {error}")),

@@ -1,7 +1,7 @@
 //! `cargo xtask`: the only build driver. What a person, a hook or CI runs goes through here.
 //!
 //! This file is the command line and nothing else: [`stages`] has the commands, [`setup`] what a machine needs,
-//! [`toolchain`] which compiler builds for a chip, [`images`] what is built, [`size`] what it takes, [`flash`] how it comes onto a board, [`hil`] how emulators run it, [`clock`] how clocks are measured, [`report`] what `test` closes with, [`tally`]
+//! [`toolchain`] which compiler builds for a chip, [`images`] what is built, [`size`] what it takes, [`flash`] how it comes onto a board, [`hil`] how emulators run it, [`clock`] how clocks are measured, [`motion`] how motion is, [`report`] what `test` closes with, [`tally`]
 //! how tests are counted, [`run`] how programs are started, and [`picture`] how the demonstration is drawn.
 #![forbid(unsafe_code)]
 
@@ -10,6 +10,7 @@ mod elf;
 mod flash;
 mod hil;
 mod images;
+mod motion;
 mod picture;
 mod report;
 mod run;
@@ -116,6 +117,18 @@ enum Command {
         #[arg(long, value_name = "FILE")]
         json: Option<std::path::PathBuf>,
     },
+    /// Measure motion: cycles, shares of a processor, jitter, errors and injected points, as one table
+    Motion {
+        /// A hundredth of the injected points
+        #[arg(long)]
+        quick: bool,
+        /// A page to write
+        #[arg(long, value_name = "FILE")]
+        html: Option<std::path::PathBuf>,
+        /// A JSON document to write
+        #[arg(long, value_name = "FILE")]
+        json: Option<std::path::PathBuf>,
+    },
     /// Draw the output of `osap demo` to docs/demo.svg
     DemoPicture {
         /// Write nothing; fail where the committed picture differs
@@ -170,6 +183,7 @@ fn main() -> ExitCode {
         }
         Command::Bench { arguments } => stages::bench(&arguments),
         Command::Clock { quick, html, json } => clock::clock(quick, html, json),
+        Command::Motion { quick, html, json } => motion::motion(quick, html, json),
         Command::DemoPicture { check } => picture::demo(check),
         Command::Docs => stages::docs(),
     };

@@ -21,6 +21,9 @@ pub(crate) const HIL: &str = "hil";
 /// The stage of the emulated RP2040's own tests.
 pub(crate) const RP2040_TESTS: &str = "test of the emulated RP2040";
 
+/// The model of processors that no emulator has to the cycle: of `cargo xtask motion` alone, so no check needs it.
+pub(crate) const MODEL: &str = "model of processors";
+
 /// A program that checks need, and where it comes from.
 #[derive(Clone, Copy, Debug)]
 struct Needed {
@@ -33,11 +36,12 @@ struct Needed {
 }
 
 /// Programs that are looked for, and installed where they are missing.
-const NEEDED: [Needed; 4] = [
+const NEEDED: [Needed; 5] = [
     Needed { program: "tshark", packages: &["tshark"], by: &[DISSECTOR] },
     Needed { program: "qemu-system-arm", packages: &["qemu-system-arm"], by: &[HIL] },
     Needed { program: "node", packages: &["nodejs"], by: &[HIL, RP2040_TESTS] },
     Needed { program: "npm", packages: &["npm"], by: &[HIL, RP2040_TESTS] },
+    Needed { program: "llvm-mca", packages: &["llvm"], by: &[MODEL] },
 ];
 
 /// Something that could not be installed.
@@ -91,7 +95,7 @@ pub(crate) fn run() -> Setup {
             setup.add(stage.to_owned(), why);
         }
     }
-    provide(&mut setup, |_| true);
+    provide(&mut setup, |needed| needed.by != [MODEL]);
     // Tests of the harness talk to the emulated RP2040, so that its packages have to be there before any test runs.
     if setup.why_not(RP2040_TESTS).is_none()
         && let Err(error) = hil::install_packages()
