@@ -4,7 +4,7 @@
 //! - **Invariants:** with J and A the brake's jerk and acceleration: |α′ − α| ≤ J at every step; |α′| ≤ max(|α|, A), and above A only
 //!   against the movement; from anywhere it comes to δ = 0, α = 0 and stays there. [`Limits`](crate::limits::Limits) says from
 //!   where it keeps the other limits as well, and accepts no point from which it would not.
-//! - **Context:** once an interval, in the highest-priority task: ten 32-bit products to 64 bits, no division.
+//! - **Context:** once an interval, in the highest-priority task: at most ten 32-bit products to 64 bits, as many as n has bits; no division.
 //!
 //! Let n be the largest with J·n(n+1)/2 ≤ |δ|: then J·n, J·(n−1), … J take |δ| to a remainder below J·(n+1), so J·n is the strongest
 //! deceleration that can still be let go of in time, and it never falls by more than one J from one step to the next. What is left
@@ -48,6 +48,9 @@ impl Brake {
     #[must_use]
     pub const fn next(&self, knot: Knot) -> Knot {
         let Knot { position, velocity, acceleration } = knot;
+        if velocity == 0 && acceleration == 0 {
+            return knot;
+        }
         let speed = velocity.unsigned_abs();
         let steps = self.steps(speed);
         // below one step of jerk, what is left goes at once
@@ -62,8 +65,10 @@ impl Brake {
 
     /// The largest n with J·n(n+1)/2 ≤ `speed`.
     const fn steps(self, speed: u32) -> u32 {
+        // n² < 2·speed/J, where speed is below 2^s and J at least 2^(j−1): n is below 2^((s + 2 − j)/2)
+        let bits = (34 - speed.leading_zeros()).saturating_sub(32 - self.jerk.leading_zeros()).div_ceil(2);
         let mut steps = 0;
-        let mut bit = STEPS_LOG2;
+        let mut bit = min(bits, STEPS_LOG2);
         while bit > 0 {
             bit -= 1;
             let more = steps + (1 << bit);

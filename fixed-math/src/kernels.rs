@@ -298,11 +298,13 @@ mod tests {
         let mut stepped = [0, 63, 64, 65, -16, -17, 127, 128].map(|input| Axis { state: steps, input, result: 0 });
         step_bits(&mut stepped);
         assert_eq!(stepped.map(|axis| axis.result), [2, 2, 3, 3, 2, 0, 3, 3]);
-        let mut made = [0, 1, 2, 3, 4, 5, 6, 7].map(|axis| Axis { state: control_points(axis), input: (), result: None });
+        let mut made =
+            [0, 1, 2, 3, 4, 5, 6, 7].map(|axis| Axis { state: control_points(axis), input: (), result: None });
         cubic_new(&mut made);
         assert_eq!(made[3].result, Cubic::new(control_points(3)).ok());
         let begun = |axis| Differences::new(control_points(axis), SAMPLES_LOG2).unwrap();
-        let mut blocks = [0, 1, 2, 3, 4, 5, 6, 7].map(|axis| Axis { state: begun(axis), input: (), result: [0; SAMPLES] });
+        let mut blocks =
+            [0, 1, 2, 3, 4, 5, 6, 7].map(|axis| Axis { state: begun(axis), input: (), result: [0; SAMPLES] });
         differences_block(&mut blocks);
         let mut reference = begun(3);
         for sample in blocks[3].result {
@@ -311,7 +313,11 @@ mod tests {
         }
         let limits = Limits::new((-1 << 30, 1_900_000), 200_000, Curve::flat(20_000), Curve::flat(2_000)).unwrap();
         let knot = Knot { position: 0, velocity: 60_000, acceleration: 1_000 };
-        let mut checked = [61_500, 64_500, 63_000, 0, 61_000, 62_000, 59_000, 1].map(|input| Axis { state: (limits, knot), input, result: -1 });
+        let mut checked = [61_500, 64_500, 63_000, 0, 61_000, 62_000, 59_000, 1].map(|input| Axis {
+            state: (limits, knot),
+            input,
+            result: -1,
+        });
         limits_check(&mut checked);
         assert_eq!(checked.map(|axis| axis.result), [1, 0, 1, 0, 1, 1, 1, 0]);
     }

@@ -163,6 +163,13 @@ impl StepBits {
         if step_log2 >= 2 && step_log2 <= STEP_LOG2_MAX { 1 << (step_log2 - 2) } else { 0 }
     }
 
+    /// Whether no step is due at `position`.
+    #[must_use]
+    #[inline]
+    pub const fn holds(&self, position: i32) -> bool {
+        position.wrapping_sub(self.low).cast_unsigned() < self.width
+    }
+
     /// What to put out for `position`.
     #[inline]
     pub fn update(&mut self, position: i32) -> Step {

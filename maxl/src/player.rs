@@ -200,6 +200,11 @@ impl<'a, const QUEUE: usize> Player<'a, QUEUE> {
     /// Goes on to `at`, over as many knots as there are between.
     fn go_on(&mut self, at: NetTime) {
         let interval = u64::from(self.segment.interval.steps());
+        // most beats are on in the interval of the one before
+        if at >= self.segment.at && at.steps().wrapping_sub(self.segment.knot.steps()) < interval {
+            self.segment.at = at;
+            return;
+        }
         let most = interval * u64::from(LEAP_INTERVALS_MAX);
         let back = self.segment.at.since(at).steps();
         if back > most || at.since(self.segment.at.max(self.segment.knot)).steps() > most {
@@ -257,8 +262,8 @@ impl<'a, const QUEUE: usize> Player<'a, QUEUE> {
     fn output(&self) -> Output {
         let segment = &self.segment;
         let (state, origin) = (self.state, self.origin);
-        let elapsed = segment.elapsed().min(u64::from(segment.interval.steps()) - 1);
-        let Ok(elapsed) = u32::try_from(elapsed) else { return Output { state, origin, ..Output::default() } };
+        // past the interval's end it is the last part before it
+        let elapsed = u32::try_from(segment.elapsed()).unwrap_or(u32::MAX);
         let part = segment.interval.part(elapsed);
         let (position, velocity) = segment.cubic.position_velocity(part);
         Output { position, velocity, acceleration: segment.cubic.acceleration(part), state, origin }

@@ -149,6 +149,8 @@ impl<'a> Interpolator<'a> {
     pub fn beat(&mut self, wrap: LocalTicks, mut sense: impl FnMut(u8) -> i32) -> BeatOutput {
         let (mut out, times) = self.begin(wrap, self.period);
         if let Some(times) = times {
+            // of the nodes as they are at this very beat: what they come to next is for the next one
+            self.trigger(times.system.shifted(-self.period.steps().cast_signed()), &mut sense);
             for index in 0..AXES {
                 let played = self.play(index, times.track, &mut out);
                 if let Some(axis) = self.axes.get_mut(index) {
@@ -156,7 +158,6 @@ impl<'a> Interpolator<'a> {
                 }
             }
             self.signals(times.track, &mut out);
-            self.trigger(times.system, &mut sense);
         }
         out
     }
@@ -251,7 +252,7 @@ impl<'a> Interpolator<'a> {
         }
     }
 
-    /// Readings that are due.
+    /// Readings that are due at the beat of `now`.
     pub(super) fn trigger(&mut self, now: NetTime, sense: &mut impl FnMut(u8) -> i32) {
         if !self.has_triggers {
             return;

@@ -147,7 +147,7 @@ pub enum Event {
 }
 
 /// What one exception of a chip took since its profile was last reset, cycles of the processor's clock.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 pub struct ExceptionProfile {
     /// 16 plus the interrupt's number.
     pub number: u32,
@@ -161,6 +161,9 @@ pub struct ExceptionProfile {
     pub latency_cycles_max: u64,
     /// The longest from entry to return, with what preempted it.
     pub span_cycles_max: u64,
+    /// How often it took how many cycles from its becoming pending to its first instruction, where that were no more than 1,023.
+    #[serde(default)]
+    pub latencies: Vec<(u64, u64)>,
 }
 
 /// What one UART of a chip did.
@@ -198,7 +201,7 @@ impl Profile {
     #[must_use]
     pub fn irq(&self, irq: u32) -> ExceptionProfile {
         let found = self.exceptions.iter().find(|exception| exception.number == 16 + irq);
-        found.copied().unwrap_or(ExceptionProfile { number: 16 + irq, ..ExceptionProfile::default() })
+        found.cloned().unwrap_or(ExceptionProfile { number: 16 + irq, ..ExceptionProfile::default() })
     }
 }
 

@@ -12,6 +12,10 @@ pub enum Image {
     Rp2040Pico,
     /// The same whose first axis is a motor that closes its loop by a simulated encoder.
     Rp2040PicoServo,
+    /// The same that steps at 125 kHz.
+    Rp2040PicoFast,
+    /// The same that measures itself at its start.
+    Rp2040PicoEvaluate,
     /// Cortex-M7 in QEMU.
     Mps2An500,
 }
@@ -23,13 +27,17 @@ impl Image {
         match self {
             Self::Rp2040Pico => "rp2040-pico",
             Self::Rp2040PicoServo => "rp2040-pico+servo",
+            Self::Rp2040PicoFast => "rp2040-pico+fast",
+            Self::Rp2040PicoEvaluate => "rp2040-pico+evaluate",
             Self::Mps2An500 => "mps2-an500",
         }
     }
 
     const fn target(self) -> &'static str {
         match self {
-            Self::Rp2040Pico | Self::Rp2040PicoServo => "thumbv6m-none-eabi",
+            Self::Rp2040Pico | Self::Rp2040PicoServo | Self::Rp2040PicoFast | Self::Rp2040PicoEvaluate => {
+                "thumbv6m-none-eabi"
+            }
             Self::Mps2An500 => "thumbv7em-none-eabihf",
         }
     }

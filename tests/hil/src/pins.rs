@@ -116,6 +116,8 @@ pub struct PwmSlice {
 pub const PICO_AXES: [(u8, u8); AXES] = [(6, 7), (8, 9), (10, 11), (12, 13)];
 /// The enable of the drivers on a Pico.
 pub const PICO_ENABLE: u8 = 14;
+/// The pins of a Pico that follow signals, as `boards/rp2040-pico/src/signals.rs` says.
+pub const PICO_OUTPUTS: [u8; 4] = [16, 17, 21, 22];
 /// Axes that a board drives by steps.
 pub const AXES: usize = 4;
 

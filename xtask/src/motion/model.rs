@@ -78,7 +78,8 @@ fn modelled(processor: &str, kernel: &str, body: &str) -> Result<f64, Error> {
     let path: PathBuf = root().join(format!("target/motion/{processor}-{kernel}.s"));
     write(&path, body)?;
     let iterations = format!("--iterations={ITERATIONS}");
-    let program = Program::new("llvm-mca").args([format!("--mtriple={TARGET}"), format!("--mcpu={processor}"), iterations]);
+    let program =
+        Program::new("llvm-mca").args([format!("--mtriple={TARGET}"), format!("--mcpu={processor}"), iterations]);
     let text = program.args([&path]).capture()?;
     total(&text).map(|cycles| cycles / ITERATIONS).ok_or_else(|| Error::NotRunHere {
         what: "llvm-mca".to_owned(),

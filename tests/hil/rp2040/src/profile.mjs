@@ -11,7 +11,11 @@
  * @property {number} spanNsMax from entry to return
  * @property {number} latencyNsMax from pended and enabled
  * @property {number} pendedNsMax from pended
+ * @property {Map<number, number>} latencies how often each latency below LATENCY_NS_MAX was, by whole nanoseconds
  */
+
+/** Longer latencies are told by their maximum alone. */
+const LATENCY_NS_MAX = 8192;
 
 export class Profile {
   constructor() {
@@ -67,7 +71,7 @@ export class Profile {
   #entry(number) {
     let entry = this.entries.get(number);
     if (!entry) {
-      entry = { count: 0, ownNsMax: 0, ownNsTotal: 0, spanNsMax: 0, latencyNsMax: 0, pendedNsMax: 0 };
+      entry = { count: 0, ownNsMax: 0, ownNsTotal: 0, spanNsMax: 0, latencyNsMax: 0, pendedNsMax: 0, latencies: new Map() };
       this.entries.set(number, entry);
     }
     return entry;
@@ -80,7 +84,12 @@ export class Profile {
     const entry = this.#entry(number);
     const since = this.pendingSinceNs[number - 16];
     const pended = this.pendedSinceNs[number - 16];
-    if (since >= 0) entry.latencyNsMax = Math.max(entry.latencyNsMax, now + entryNs - since);
+    if (since >= 0) {
+      const latencyNs = now + entryNs - since;
+      entry.latencyNsMax = Math.max(entry.latencyNsMax, latencyNs);
+      const key = Math.round(latencyNs);
+      if (key < LATENCY_NS_MAX) entry.latencies.set(key, (entry.latencies.get(key) ?? 0) + 1);
+    }
     if (pended >= 0) entry.pendedNsMax = Math.max(entry.pendedNsMax, now + entryNs - pended);
     this.pendingSinceNs[number - 16] = -1;
     this.pendedSinceNs[number - 16] = -1;
@@ -132,6 +141,7 @@ export class Profile {
           latency_cycles_max: cycles(e.latencyNsMax),
           pended_cycles_max: cycles(e.pendedNsMax),
           span_cycles_max: cycles(e.spanNsMax),
+          latencies: [...e.latencies].sort(([a], [b]) => a - b).map(([ns, count]) => [cycles(ns), count]),
         })),
       primask_cycles_max: cycles(Math.max(this.maskedNsMax, masked)),
     };

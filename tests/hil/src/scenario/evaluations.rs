@@ -37,7 +37,11 @@ fn cycles(context: &Context, report: &mut Report) -> Result<(), Failure> {
     for (block, pulse) in BLOCKS.iter().zip(&pulses) {
         let Some(cycles) = net(block, *pulse, &pulses) else { continue };
         let goal = GOALS.iter().find(|(name, _)| *name == block.name).map(|(_, goal)| *goal);
-        rows.push(vec![block.name.to_owned(), format!("{cycles:.1}"), goal.map_or_else(String::new, |it| it.to_string())]);
+        rows.push(vec![
+            block.name.to_owned(),
+            format!("{cycles:.1}"),
+            goal.map_or_else(String::new, |it| it.to_string()),
+        ]);
         data.push(json!({ "name": block.name, "cycles": cycles, "goal": goal, "evaluations": block.evaluations }));
         if let Some(goal) = goal {
             report.check(cycles <= goal, format!("{}: {cycles:.1} cycles, of {goal}", block.name));

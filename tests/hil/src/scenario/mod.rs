@@ -5,6 +5,8 @@
 
 mod clock;
 mod cycles;
+mod evaluations;
+mod motion;
 mod motion_m7;
 mod preemption;
 mod preemption_m7;
@@ -71,6 +73,10 @@ pub enum Scenario {
         #[arg(long, default_value_t = 10_000)]
         ms: u64,
     },
+    /// Tracks on two Pico motors: every step edge against the spline and the truth of time, halts, faults, signals, readings, a servo, cycles
+    Motion,
+    /// Cycles of what a beat calls on a Cortex-M0+, and the share of the processor that one and three axes take at 15.625 and 100 kHz
+    Evaluations,
     /// Worst cycles of each task of the Pico image, measured under several loads
     Cycles,
     /// Response times from the task table of each image, against the deadlines
@@ -93,6 +99,8 @@ impl Scenario {
             Self::Soak { ms: 2_000, errors: 1e-5 },
             Self::Preemption,
             Self::Clock { ms: 4_000 },
+            Self::Motion,
+            Self::Evaluations,
             Self::Cycles,
             Self::Rta,
             Self::Settings,
@@ -111,6 +119,8 @@ impl Scenario {
             Self::Soak { .. } => "soak",
             Self::Preemption => "preemption",
             Self::Clock { .. } => "clock",
+            Self::Motion => "motion",
+            Self::Evaluations => "evaluations",
             Self::Cycles => "cycles",
             Self::Rta => "rta",
             Self::Settings => "settings",
@@ -131,6 +141,8 @@ impl Scenario {
             Self::Soak { ms, errors } => soak::run(context, *ms, *errors),
             Self::Preemption => preemption::run(context),
             Self::Clock { ms } => clock::run(context, *ms),
+            Self::Motion => motion::run(context),
+            Self::Evaluations => evaluations::run(context),
             Self::Cycles => cycles::run(context),
             Self::Rta => rta::run(context),
             Self::Settings => settings::run(context),

@@ -46,7 +46,7 @@ pub(in crate::scenario) fn run(context: &Context, report: &mut Report) -> Result
     let mut data = Vec::new();
     for (image, rate_hz) in IMAGES {
         for axes in [1, 3] {
-            let share = measure(context, image, rate_hz, axes)?;
+            let share = measure(context, image, axes)?;
             let is_fast = rate_hz > GOAL_HZ;
             let at_goal = if is_fast { format!("{:.1}", share.at(GOAL_HZ)) } else { "-".to_owned() };
             let Share { image, cycles_mean, cycles_max, steps_hz, .. } = share;
@@ -90,7 +90,7 @@ fn send(stage: &mut Stage, axis: u8, series: &Series) -> Result<(), Failure> {
     Ok(())
 }
 
-fn measure(context: &Context, image: Image, rate_hz: f64, axes: usize) -> Result<Share, Failure> {
+fn measure(context: &Context, image: Image, axes: usize) -> Result<Share, Failure> {
     let elf = context.places.image(image)?;
     let mut stage = Stage::alone(context, &elf)?;
     let (intervals, at) = (&intervals([12; 4])[..axes], &[0; 4][..axes]);
