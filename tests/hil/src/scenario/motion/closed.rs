@@ -81,7 +81,10 @@ pub(super) fn run(context: &Context, report: &mut Report, us: u64) -> Result<(),
         ),
     );
     let status = stage.status(0, 0)?;
-    report.check(status.halted.is_none(), format!("servo: nothing halted it: {status:?}"));
+    report.check(
+        status.halted.is_none() && stage.refused.is_empty(),
+        format!("servo: nothing halted it, nothing was refused: {:?}, {:?}", status.halted, stage.refused),
+    );
     let profile = stage.profile(0)?;
     report.line(format!(
         "servo: a beat takes {:.0} cycles in the mean, {} at most",

@@ -36,7 +36,9 @@ const ROUTES: [&str; MOTORS + 1] = ["/0", "/0/1", "/0/1/1"];
 const BOUND_STEPS_MAX: i32 = 3 * 256;
 /// The clocks get so long for it.
 const SETTLE_NS: Ns = 4_000 * NS_PER_MS;
-/// From a message of points to the next.
+/// Most messages that are under way together.
+const OPEN_MAX: usize = 6;
+/// A message's time to live.
 const TTL_US: u16 = 30_000;
 
 /// System time by the co-simulation's own clock: a line.
@@ -83,7 +85,8 @@ pub(super) struct Stage {
     pub(super) pins: Vec<Pins>,
     /// Largest errors that the motors' clocks may have, as they say, 1/256 µs.
     pub(super) bounds_steps: Vec<i32>,
-    open: HashMap<Ticket, u8>,
+    /// Messages that were not answered yet: points, motor and axis of each.
+    open: HashMap<Ticket, (u8, usize, u8)>,
     /// Refusals of messages that were not waited for.
     pub(super) refused: Vec<MotionRefusal>,
     /// Points taken of such messages, and sent in datagrams.
@@ -180,7 +183,7 @@ impl Stage {
     }
 
     fn completed(&mut self, completion: &Completion) -> Result<(), Failure> {
-        let Some(points) = self.open.remove(&completion.ticket) else {
+        let Some((points, ..)) = self.open.remove(&completion.ticket) else {
             self.strangers.push(completion.ticket);
             return Ok(());
         };
@@ -238,7 +241,7 @@ impl Stage {
         let to = self.ports[motor].clone();
         let sent = self.bench.session.network().submit(to, Expect::One, &bytes[..len]);
         let ticket = sent.map_err(|error| Failure::Failed(format!("points were not sent: {error:?}")))?;
-        self.open.insert(ticket, count);
+        self.open.insert(ticket, (count, motor, points.axis));
         Ok(())
     }
 
@@ -322,7 +325,8 @@ impl Feed {
                 break;
             }
             stage.run_until(at.max(stage.now()))?;
-            while stage.open.len() >= 6 {
+            // messages under way together come in any order, and points of an axis may not
+            while stage.open.len() >= OPEN_MAX || stage.open.values().any(|(_, to, of)| (*to, *of) == (motor, axis)) {
                 stage.run_until(stage.now() + Span::from_us(100))?;
             }
             let Some((.., series)) = series.iter().find(|(to, of, _)| (*to, *of) == (motor, axis)) else { continue };
