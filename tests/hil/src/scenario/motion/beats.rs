@@ -48,7 +48,10 @@ pub(super) fn run(context: &Context, report: &mut Report, us: u64) -> Result<(),
             let status = stage.status(0, axis)?;
             report.check(
                 status.position == 0 && status.halted.is_none() && status.state == AxisState::Starved,
-                format!("{axes} axes: axis {axis} is back at rest: {:?} at {}, halted {:?}", status.state, status.position, status.halted),
+                format!(
+                    "{axes} axes: axis {axis} is back at rest: {:?} at {}, halted {:?}",
+                    status.state, status.position, status.halted
+                ),
             );
         }
     }

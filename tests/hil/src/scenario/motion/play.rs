@@ -11,6 +11,8 @@ use crate::report::{Failure, Report, real, table};
 use fixed_math::spline::IntervalLog2;
 use fixed_math::time::{NetTime, Span};
 use osap_protocol::motion::{AxisState, MotionReply, MotionRequest};
+use osap_protocol::{DropCause, PortIndex};
+use osap_runtime::sequenced::Destination;
 use serde_json::json;
 
 /// Interrupt of interpolation.
@@ -254,6 +256,30 @@ pub(super) fn loaded(stage: &mut Stage, report: &mut Report, us: u64) -> Result<
     for (name, profile) in stage.names.iter().zip(&seen.profiles) {
         let busy = 100.0 - 100.0 * real(profile.sleep_cycles) / real(profile.cycles.max(1));
         report.check(busy >= 99.0, format!("loaded: {name} is busy for {busy:.0} % of the time"));
+        let tasks = crate::scenario::cycles::TASKS.map(|(task, irq)| {
+            let irq = profile.irq(irq);
+            let share = 100.0 * real(irq.cycles_total) / real(profile.cycles.max(1));
+            format!("{task} {} cycles at most, {share:.0} %", irq.cycles_max)
+        });
+        report.line(format!("loaded, {name}: {}", tasks.join("; ")));
+        let overruns: u64 = profile.uarts.iter().map(|uart| uart.overruns).sum();
+        report.check(overruns == 0, format!("loaded: {name}: its UARTs lost {overruns} bytes"));
     }
+    overruns(stage, report)?;
     Ok(seen)
+}
+
+/// Bytes that were not taken out of their ring in time, as the motors count them.
+fn overruns(stage: &mut Stage, report: &mut Report) -> Result<(), Failure> {
+    for (motor, name) in stage.names.clone().into_iter().enumerate() {
+        let chip = Destination { port: PortIndex::NETRESPONDER, ..stage.ports[motor].clone() };
+        let counters = stage.bench.session.counters(&chip)?;
+        let lost: u64 = counters
+            .iter()
+            .filter(|counter| counter.cause == Some(DropCause::RxOverrun))
+            .map(|counter| u64::from(counter.value))
+            .sum();
+        report.check(lost == 0, format!("loaded: {name} drained its rings in time: {lost} were lapped"));
+    }
+    Ok(())
 }
