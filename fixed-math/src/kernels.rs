@@ -61,7 +61,6 @@ macro_rules! kernels {
         #[inline(never)]
         pub fn $name([a, b, c, d, e, f, g, h]: &mut [$Axis; AXES]) {
             #[inline(always)]
-            #[expect(clippy::inline_always, reason = "what is measured is not a call")]
             fn one($axis: &mut $Axis) {
                 let $axis = black_box($axis);
                 $($body)*

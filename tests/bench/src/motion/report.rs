@@ -42,6 +42,9 @@ pub(crate) struct Options {
     json: Option<PathBuf>,
 }
 
+/// Makes rows of a document.
+type Reader = fn(&Value) -> Vec<Row>;
+
 /// Prints the table and writes what is asked for. Fails where nothing could be read, not where a goal is missed.
 pub(crate) fn run(options: &Options) -> ExitCode {
     match report(options) {
@@ -54,7 +57,7 @@ pub(crate) fn run(options: &Options) -> ExitCode {
 }
 
 fn report(options: &Options) -> Result<(), String> {
-    let parts: [(&Option<PathBuf>, fn(&Value) -> Vec<Row>); 5] = [
+    let parts: [(&Option<PathBuf>, Reader); 5] = [
         (&options.evaluations, rows::evaluations),
         (&options.modelled, rows::modelled),
         (&options.outputs, rows::outputs),
