@@ -8,7 +8,7 @@
 //! target = "thumbv7em-none-eabihf"    # what the compiler calls the processor
 //! load = "probe"                      # "probe", "uf2" (a drive over USB) or "emulator"
 //! chip = "STM32H743ZITx"              # probe-rs's name of the chip; none for an emulator
-//! variants = ["pace"]                 # features that emulators also run it with, one at a time; none where left out
+//! variants = ["servo"]                # features that emulators also run it with, one at a time; none where left out
 //! ```
 
 use std::collections::BTreeMap;

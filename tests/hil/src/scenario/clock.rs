@@ -93,7 +93,7 @@ pub(super) fn run(context: &Context, ms: u64) -> Result<Report, Failure> {
     let head =
         ["load", "steps", "samples", "bias", "rms", "p99.9", "max", "<10 after", "<1 after", "bound", "error/bound"];
     report.line(table(&head, &rows));
-    report.line("Loaded: the 15.6 kHz interrupt, 80 % of both wires both ways, and a user function of 20 ms at a time, on all chips.");
+    report.line("Loaded: the 15.6 kHz interrupt with no axis armed, 80 % of both wires both ways, and a user function of 20 ms at a time, on all chips.");
     Ok(report)
 }
 

@@ -40,7 +40,7 @@ pub(super) fn run(context: &Context, report: &mut Report, us: u64) -> Result<(),
     stage.ask(0, &MotionRequest::Configure { axis: 0, settings })?;
     stage.ask(0, &MotionRequest::Arm { axis: 0, position: 0 })?;
     let first = first_after(&stage, LEAD, Span::ZERO);
-    let series = Series::new(interval, first, 0, shape(WAY, 0, interval, us), limits(&settings).brake());
+    let series = Series::new(interval, first, 0, shape(WAY, 0, interval, us), *limits(&settings).brake());
     let all = [(0, 0, &series)];
     Feed::new(&all, 32, Span::from_us(2_000_000), false, Span::ZERO).play(
         &mut stage,

@@ -193,7 +193,7 @@ mod tests {
         let interval = IntervalLog2::new(12).unwrap();
         let points = shape(Shape { reach: 30_000.0, turns: 1.0 }, 0, interval, 200_000);
         let first = NetTime::from_us(1 << 20);
-        let series = Series::new(interval, first, 0, points, limits(&settings(interval)).brake());
+        let series = Series::new(interval, first, 0, points, *limits(&settings(interval)).brake());
         let mut device = StepBits::new(STEP_LOG2, StepBits::quarter(STEP_LOG2), 0).unwrap();
         let beats = (first.as_us() / BEAT_US - 256, first.as_us() / BEAT_US + 4_000);
         let mut steps = Vec::new();

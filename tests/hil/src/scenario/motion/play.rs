@@ -58,7 +58,7 @@ pub(super) fn first_after(stage: &Stage, lead: Span, delay: Span) -> NetTime {
 pub(super) fn all_series(intervals: &[IntervalLog2], at: &[i32], first: NetTime, us: u64) -> Vec<Series> {
     let one = |((interval, rest), way): ((&IntervalLog2, &i32), Shape)| {
         let brake = *limits(&settings(*interval)).brake();
-        Series::new(*interval, first, *rest, shape(way, *rest, *interval, us), &brake)
+        Series::new(*interval, first, *rest, shape(way, *rest, *interval, us), brake)
     };
     intervals.iter().zip(at).zip(SHAPES).map(one).collect()
 }
@@ -220,6 +220,13 @@ pub(super) fn streamed(stage: &mut Stage, report: &mut Report, us: u64) -> Resul
             );
         }
         let pins = &stage.pins[motor];
+        let first_ns = seen.steps[motor]
+            .iter()
+            .flatten()
+            .map(|step| real(step.beat * BEAT_US) * 1e3)
+            .fold(f64::INFINITY, f64::min);
+        let enabled = pins.enables().first().is_some_and(|(is_on, at)| *is_on && *at < first_ns);
+        report.check(enabled, format!("motor {motor}: its drivers are on before the first step"));
         report.check(
             pins.set_up_ns_min >= 60_000.0,
             format!(

@@ -137,7 +137,7 @@ pub(super) fn starved(stage: &mut Stage, report: &mut Report, us: u64, delay: Sp
     let mut series = ahead(stage, us, delay)?;
     for one in &mut series {
         let brake = *limits(&settings(one.interval)).brake();
-        *one = one.cut(CUT, MISSING_MAX, &brake);
+        *one = one.cut(CUT, MISSING_MAX, brake);
     }
     let (began, until) = (stage.now(), end_of(&series) + delay);
     Feed::new(&both(&series), 32, Span::from_us(2_000_000), false, delay).play(stage, &both(&series), until)?;
@@ -163,7 +163,7 @@ pub(super) fn fault(stage: &mut Stage, report: &mut Report, us: u64, delay: Span
     let brake = *limits(&settings(series[1].interval)).brake();
     let step = u64::from(series[1].interval.steps());
     let first = series[1].start + Span::from_steps(step);
-    broken[1] = series[1].cut(GOOD, 0, &brake);
+    broken[1] = series[1].cut(GOOD, 0, brake);
     let sent: Vec<_> = both(&series)
         .into_iter()
         .filter(|(motor, ..)| *motor == 1)
@@ -204,18 +204,19 @@ pub(super) fn fault(stage: &mut Stage, report: &mut Report, us: u64, delay: Span
     stage.run_until(until)?;
     let all = seen(stage)?;
     let beats = (began.as_us() / BEAT_US, until.as_us() / BEAT_US);
-    let stops = (0..400).map(|beat| on_grid(sent.steps()) + Span::from_us(18_000 / BEAT_US * BEAT_US + beat * BEAT_US));
+    let mut epochs =
+        (0..400).map(|beat| on_grid(sent.steps()) + Span::from_us(18_000 / BEAT_US * BEAT_US + beat * BEAT_US));
     let fits = |stop: &NetTime| {
         let stopped = Stopped { before: delay, stop: *stop, resume: Some(resume) };
         follow(&series[0], &all.steps[0][0], beats, |system| stopped.track(system)).unlike.is_none()
     };
-    let Some(stop) = stops.filter(fits).next() else {
+    let Some(epoch) = epochs.find(fits) else {
         report.check(false, "fault: axis 0 did not stop along its path at any epoch of the 26 ms after the point");
         return Ok(delay);
     };
-    let stopped = Stopped { before: delay, stop, resume: Some(resume) };
+    let stopped = Stopped { before: delay, stop: epoch, resume: Some(resume) };
     compare(report, "fault", [&broken, &series], &all, (began, until), |system| stopped.track(system));
-    report.line(format!("fault: the halt's epoch is {} µs after the point was sent", stop.since(sent).as_us_floor()));
+    report.line(format!("fault: the halt's epoch is {} µs after the point was sent", epoch.since(sent).as_us_floor()));
     let cleared = stage.ask(0, &MotionRequest::ClearFault { axis: 1 })?;
     report.check(cleared == MotionReply::Done, format!("fault: it is cleared at rest: {cleared:?}"));
     Ok(until.since(stopped.track(until)))

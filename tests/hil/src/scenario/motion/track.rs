@@ -38,12 +38,7 @@ pub(super) struct Shape {
 }
 
 /// Points of a shape that takes `us`, one interval apart, rounded; three more at rest end it.
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    clippy::cast_precision_loss,
-    reason = "small numbers"
-)]
+#[expect(clippy::cast_possible_truncation, clippy::cast_precision_loss, reason = "small numbers")]
 pub(super) fn shape(shape: Shape, rest: i32, interval: IntervalLog2, us: u64) -> Vec<i32> {
     let turn = core::f64::consts::TAU;
     let count = (us / u64::from(interval.us())) as usize;
@@ -112,7 +107,7 @@ pub(super) struct Series {
 
 impl Series {
     /// Of `points`, whose first is at `first`.
-    pub(super) fn new(interval: IntervalLog2, first: NetTime, rest: i32, points: Vec<i32>, brake: &Brake) -> Self {
+    pub(super) fn new(interval: IntervalLog2, first: NetTime, rest: i32, points: Vec<i32>, brake: Brake) -> Self {
         let start = first.shifted(-i64::from(interval.steps()));
         let mut knot = Knot::resting(rest);
         for position in &points {
@@ -128,7 +123,7 @@ impl Series {
     }
 
     /// The first `count` points, after which `rebuilt` more are made up from the last three, as a device does, and then the brake's.
-    pub(super) fn cut(&self, count: usize, rebuilt: usize, brake: &Brake) -> Self {
+    pub(super) fn cut(&self, count: usize, rebuilt: usize, brake: Brake) -> Self {
         let first = self.start + Span::from_steps(self.interval.steps().into());
         let mut points = self.points[..count].to_vec();
         for _ in 0..rebuilt {
@@ -212,7 +207,7 @@ mod tests {
         let interval = IntervalLog2::new(log2).unwrap();
         let points = shape(Shape { reach: 50_000.0, turns: 2.0 }, 100, interval, 200_000);
         let settings = settings(interval);
-        Series::new(interval, NetTime::from_us(1 << 20), 100, points, limits(&settings).brake())
+        Series::new(interval, NetTime::from_us(1 << 20), 100, points, *limits(&settings).brake())
     }
 
     /// At whole microseconds the polynomial in double precision rounds to what integers of 128 bits give, or lies at a half.
@@ -239,7 +234,7 @@ mod tests {
             assert!(whole.braked.is_empty() && whole.end() == 100);
             let settings = settings(whole.interval);
             let limits = limits(&settings);
-            let cut = whole.cut(whole.points.len() / 3, 2, limits.brake());
+            let cut = whole.cut(whole.points.len() / 3, 2, *limits.brake());
             assert!(cut.braked.len() > 2);
             for series in [whole, cut] {
                 let (second, third) = series.differences_max();
