@@ -12,7 +12,7 @@
 //! | idle        | -              | 0        | -        | -           | node        | -                       | 420         |
 //!
 //! Priority 4 is interpolation's: four axes, of which nobody below can delay an edge (`interpolation`). Its row is that of a hub, whose beat has nothing
-//! to play: what forwards at full load. **A motor's beat takes 3,240 cycles in the mean with four axes that move, and 5,930 where all of them pass a knot
+//! to play: what forwards at full load. **A motor's beat takes 3,240 cycles in the mean with four axes that move, and 7,020 at most, where all of them starve at a knot
 //! (`hil motion`), which is within its 64 µs; by this analysis such a motor cannot also forward at full load on both wires.**
 //! Bytes and their stamps are moved by DMA, so that no priority is urgent for them. The node is
 //! held by `serve` for single calls; a service works without it.
