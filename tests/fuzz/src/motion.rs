@@ -177,7 +177,9 @@ impl MotionTarget {
             self.moves_by = self.settings;
             return Ok(());
         }
-        if matches!(was.state, PlayerState::Resting | PlayerState::Holding | PlayerState::Released) {
+        let rested = matches!(was.state, PlayerState::Resting | PlayerState::Holding | PlayerState::Released);
+        if rested && is.state == PlayerState::Following {
+            // settings that came while it rested hold from here on: it was armed by them, and may rest where they would not let it
             self.moves_by = self.settings;
         }
         let Some(settings) = self.moves_by else { return Ok(()) };
